@@ -1,0 +1,131 @@
+"""What a run accumulates on the fly: sums over steps and chains, never the chains themselves."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from mcmc1d.metropolis import Kernel, Step
+from mcmc1d.numerics import require
+from mcmc1d.state import Multiplexed
+from mcmc1d.types import Array, Float, Scalar
+
+
+class Estimator(eqx.Module):
+    """Sums over the steps of many chains.
+
+    `update` is handed the steps of all chains of a block at once (each leaf with a leading axis of chains) and adds
+    them to the accumulator, a pytree of sums that starts at zero. The runner drains it into float64 on the host
+    before a float32 sum can lose anything.
+    """
+
+    @abc.abstractmethod
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Any:
+        """The accumulator at zero; raises `ValueError` where the estimator does not fit the target."""
+
+    @abc.abstractmethod
+    def update(self, sums: Any, steps: Step) -> Any:
+        """`sums` with the deposits of one step of every chain added."""
+
+
+class Histogram(Estimator):
+    """The deposits' weight in each bin of a scalar x: sums of shape (bins,), or (n_techniques, bins) if `joint`.
+
+    Divided by the steps it converges to the bin masses of f / b, jointly to those of w_i f / b.
+    """
+
+    edges: np.ndarray = eqx.field(static=False)
+    joint: bool = eqx.field(static=True)
+    regular: bool = eqx.field(static=True)
+
+    def __init__(self, bins: int | ArrayLike = 100, *, joint: bool = False, domain: tuple[float, float] = (0.0, 1.0)):
+        """`bins`: how many equal ones over the `domain`, or their rising edges; `joint`: by technique as well."""
+        self.regular = isinstance(bins, int)
+        if self.regular:
+            require(bins >= 1, f"Histogram: bins must be at least 1, not {bins}")
+            self.edges = np.linspace(*domain, bins + 1)
+        else:
+            self.edges = np.asarray(bins, np.float64)
+            require(
+                self.edges.ndim == 1 and self.edges.size >= 2 and bool(np.all(np.diff(self.edges) > 0)),
+                f"Histogram: the edges must be at least two rising numbers, not {self.edges}",
+            )
+        self.joint = joint
+
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "..."]:
+        lower, upper = target.target.domain
+        require(np.ndim(lower) == 0, "Histogram: x must be a scalar")
+        first, last = float(self.edges[0]), float(self.edges[-1])
+        require(
+            first <= lower and upper <= last,
+            f"Histogram: the bins [{first}, {last}] do not cover the domain [{lower}, {upper}] of "
+            f"{type(target.target).__name__}; extend the edges",
+        )
+        bins = self.edges.shape[0] - 1
+        return jnp.zeros((target.n_techniques, bins) if self.joint else bins, dtype)
+
+    def update(self, sums: Float[Array, "..."], steps: Step) -> Float[Array, "..."]:
+        deposits = steps.deposits
+        for x, index, weight in zip(deposits.x, deposits.index, deposits.weight, strict=True):
+            where = (index, self._bin(x)) if self.joint else (self._bin(x),)
+            sums = sums.at[where].add(weight, mode="promise_in_bounds")
+        return sums
+
+    def _bin(self, x: Float[Array, "..."]) -> Array:
+        bins = self.edges.shape[0] - 1
+        if self.regular:
+            lower, upper = self.edges[0], self.edges[-1]
+            cell = ((x - lower) * (bins / (upper - lower))).astype(jnp.int32)
+        else:
+            cell = jnp.searchsorted(jnp.asarray(self.edges, x.dtype), x, side="right") - 1
+        return jnp.clip(cell, 0, bins - 1)
+
+
+class Acceptance(Estimator):
+    """For each kind of move: the sum of its acceptance probabilities, and how often it was proposed.
+
+    The sums are two arrays of shape (kinds,); their ratio is the acceptance rate.
+    """
+
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> tuple[Array, Array]:
+        zero = jnp.zeros(len(kernel.kinds), dtype)
+        return zero, zero
+
+    def update(self, sums: tuple[Array, Array], steps: Step) -> tuple[Array, Array]:
+        info, (accepted, proposed) = steps.info, sums
+        # Summed by comparison, not by scatter: there are few kinds and many chains.
+        is_kind = info.kind[..., None] == jnp.arange(proposed.shape[0])
+        axes = tuple(range(info.kind.ndim))
+        return (
+            accepted + jnp.where(is_kind, info.acceptance[..., None], 0).sum(axes),
+            proposed + is_kind.astype(proposed.dtype).sum(axes),
+        )
+
+
+class Expectation(Estimator):
+    """The weighted sum of a function of x over the deposits; divided by the steps, its expectation under f / b."""
+
+    function: Any
+
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "..."]:
+        x = jnp.broadcast_to(jnp.asarray(target.target.domain[0], dtype), np.shape(target.target.domain[0]))
+        return jax.tree.map(lambda y: jnp.zeros(y.shape, dtype), eqx.filter_eval_shape(self.function, x))
+
+    def update(self, sums: Float[Array, "..."], steps: Step) -> Float[Array, "..."]:
+        def one(x: Float[Array, "..."], weight: Scalar) -> Float[Array, "..."]:
+            return self.function(x) * weight
+
+        deposits = steps.deposits
+        return sums + jax.vmap(jax.vmap(one))(deposits.x, deposits.weight).sum((0, 1))
+
+
+EXAMPLES = {
+    "histogram": Histogram(50),
+    "joint_histogram": Histogram([0, 0.2, 0.5, 0.9, 1.0], joint=True),
+    "acceptance": Acceptance(),
+    "expectation": Expectation(lambda x: x * x),
+}

@@ -1,0 +1,165 @@
+"""The one place that accepts or rejects, and kernels made of it."""
+
+import abc
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from mcmc1d.moves import Move, Proposal
+from mcmc1d.numerics import in_unit_cube, require
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Bool, Float, Int, Scalar
+
+
+class Deposits(eqx.Module):
+    """Weighted points whose expectation over a step is that of the target: the weights of one step sum to one."""
+
+    x: Float[Array, "n ..."]
+    index: Int[Array, " n"]
+    weight: Float[Array, " n"]
+
+
+class Info(eqx.Module):
+    """What happened in each of a kernel's n accept-reject decisions."""
+
+    kind: Int[Array, " n"]
+    """Which kind of move it was, counted through `Kernel.kinds`."""
+    acceptance: Float[Array, " n"]
+    """The probability with which the proposal was accepted."""
+    accepted: Bool[Array, " n"]
+
+
+class Step(eqx.Module):
+    """The outcome of one step of a kernel."""
+
+    state: State
+    deposits: Deposits
+    info: Info
+
+
+class Kernel(eqx.Module):
+    """A Markov kernel as a function of the state and of uniform numbers w in [0, 1)^r; written for one chain."""
+
+    @property
+    @abc.abstractmethod
+    def kinds(self) -> tuple[str, ...]:
+        """The names of its kinds of moves, for acceptance rates."""
+
+    @abc.abstractmethod
+    def dim_w(self, target: Multiplexed) -> int:
+        """r, how many uniform numbers a step consumes."""
+
+    @abc.abstractmethod
+    def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
+        """One step from an evaluated state."""
+
+    @abc.abstractmethod
+    def check(self, target: Multiplexed) -> None:
+        """Raise `ValueError` where the kernel does not fit the target."""
+
+
+class Metropolis(Kernel):
+    """Propose with a move, accept with the Metropolis-Hastings-Green probability, deposit.
+
+    `deposit="expected"` puts 1 - a on the current state and a on the proposed one (Veach and Guibas 1997), `"plain"`
+    puts 1 on the state after the step; both have the target's expectation.
+    """
+
+    move: Move
+    deposit: Literal["expected", "plain"] = eqx.field(static=True, default="expected")
+
+    def __check_init__(self):
+        require(
+            self.deposit in ("expected", "plain"),
+            f'Metropolis: deposit must be "expected" or "plain", not {self.deposit!r}',
+        )
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        return self.move.kinds
+
+    def dim_w(self, target: Multiplexed) -> int:
+        return self.move.dim_w(target) + 1
+
+    def check(self, target: Multiplexed) -> None:
+        self.move.check(target)
+
+    def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
+        return accept(target, state, self.move.propose(target, state, w[:-1]), w[-1], self.deposit)
+
+
+class Cycle(Kernel):
+    """Several kernels one after the other in each step: invariant where each is, but not reversible."""
+
+    kernels: tuple[Kernel, ...]
+
+    def __init__(self, kernels: Sequence[Kernel]):
+        """`kernels`: in their order within a step."""
+        self.kernels = tuple(kernels)
+        require(len(self.kernels) > 0, "Cycle: give one kernel at least")
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        return tuple(name for kernel in self.kernels for name in kernel.kinds)
+
+    def dim_w(self, target: Multiplexed) -> int:
+        return sum(kernel.dim_w(target) for kernel in self.kernels)
+
+    def check(self, target: Multiplexed) -> None:
+        for kernel in self.kernels:
+            kernel.check(target)
+
+    def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
+        deposits, infos, kinds = [], [], 0
+        for kernel in self.kernels:
+            r = kernel.dim_w(target)
+            step = kernel.step(target, state, w[:r])
+            state, w = step.state, w[r:]
+            weight = step.deposits.weight / len(self.kernels)
+            deposits.append(eqx.tree_at(lambda d: d.weight, step.deposits, weight))
+            infos.append(eqx.tree_at(lambda i: i.kind, step.info, step.info.kind + kinds))
+            kinds += len(kernel.kinds)
+        join = lambda *parts: jnp.concatenate(parts)  # noqa: E731
+        return Step(state, jax.tree.map(join, *deposits), jax.tree.map(join, *infos))
+
+
+def acceptance(state: State, proposal: Proposal) -> Scalar:
+    """min(1, pi(s') / pi(s) |d(s', w') / d(s, w)|) for an evaluated proposal (Green 1995; Tierney 1998).
+
+    Zero where s' or w' lies outside the unit cube and where the ratio is not a number; a dark state accepts any
+    lit one.
+    """
+    log_ratio = proposal.state.eval.log_c - state.eval.log_c + proposal.log_det
+    possible = in_unit_cube(proposal.state.u) & in_unit_cube(proposal.w) & ~jnp.isnan(log_ratio)
+    return jnp.exp(jnp.where(possible, jnp.minimum(log_ratio, 0), -jnp.inf))
+
+
+def accept(
+    target: Multiplexed, state: State, proposal: Proposal, uniform: Scalar, deposit: Literal["expected", "plain"]
+) -> Step:
+    """Go to the proposal if `uniform` is under its acceptance probability, or stay.
+
+    The one function of the library that accepts or rejects.
+    """
+    proposed = target.evaluate(proposal.state)
+    a = acceptance(state, Proposal(proposed, proposal.w, proposal.log_det, proposal.kind))
+    # An impossible proposal may hold NaN, and 0 times NaN is NaN: from here on it is the current state.
+    proposed = _where(a > 0, proposed, state)
+    accepted = uniform < a
+    after = _where(accepted, proposed, state)
+    if deposit == "expected":
+        points, weight = (state, proposed), jnp.stack([1 - a, a])
+    else:
+        points, weight = (after,), jnp.ones((1,), a.dtype)
+    deposits = Deposits(
+        jnp.stack([point.eval.x for point in points]), jnp.stack([jnp.asarray(point.index) for point in points]), weight
+    )
+    info = Info(jnp.atleast_1d(jnp.asarray(proposal.kind)), a[None], accepted[None])
+    return Step(after, deposits, info)
+
+
+def _where(condition: Bool[Array, ""], a: State, b: State) -> State:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)

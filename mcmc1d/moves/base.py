@@ -1,0 +1,54 @@
+"""What a move is: an involution of the chain's state and of the uniform numbers that it consumes."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Float, Index, Scalar
+
+
+class Proposal(eqx.Module):
+    """Where a move leads: (s, w) -> (s', w') and log|d(s', w')/d(s, w)|.
+
+    A move that has not evaluated s' leaves `state.eval` None; the evaluation then happens once, in the kernel.
+    """
+
+    state: State
+    w: Float[Array, " r"]
+    log_det: Scalar
+    kind: Index = 0
+    """Which move of a mixture this was; acceptance rates are kept by it."""
+
+
+class Move(eqx.Module):
+    """An involution (s, w) <-> (s', w') with w in [0, 1)^r: applied twice it is the identity.
+
+    Accepted with min(1, pi(s') / pi(s) |d(s', w') / d(s, w)|) it leaves pi invariant (Tierney 1998; Neklyudov et al.
+    2020). `w'` is what would undo the move; a proposal with any of s', w' outside the unit cube is rejected.
+
+    Everything is written for one chain; callers `vmap`. A subclass is final: it defines `dim_w` and `propose`, and is
+    held to them by `verify.check_move`.
+    """
+
+    @abc.abstractmethod
+    def dim_w(self, target: Multiplexed) -> int:
+        """r, how many uniform numbers the move consumes."""
+
+    @abc.abstractmethod
+    def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
+        """The proposal from an evaluated state with the numbers w."""
+
+    def check(self, target: Multiplexed) -> None:
+        """Raise `ValueError` where the move does not fit the target; every move fits unless redefined."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The names that `Proposal.kind` counts through."""
+        return (type(self).__name__,)
+
+
+def zero(u: Float[Array, " m"]) -> Scalar:
+    """A log-determinant of 0 in the precision of u."""
+    return jnp.zeros((), u.dtype)

@@ -1,0 +1,89 @@
+"""A move chosen at random among several, each step."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from mcmc1d.moves.base import Move, Proposal
+from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick, require
+from mcmc1d.state import Eval, Multiplexed, State
+from mcmc1d.types import Array, Float, Real
+
+
+class Mixture(Move):
+    """One of several moves, each with a fixed probability: w[0] chooses, the rest is the chosen move's.
+
+    The choice does not depend on the state, so w'[0] = w[0] and the mixture is an involution where the moves are.
+    Every branch proposes (as a switch under `vmap` would); the target is evaluated once, at the chosen proposal.
+    """
+
+    moves: tuple[Move, ...]
+    probabilities: Float[Real, " n"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self, moves: Mapping[str, tuple[ArrayLike, Move]]):
+        """`moves`: name -> (probability, move); the probabilities sum to one."""
+        require(len(moves) > 0, "Mixture: give one move at least")
+        self.names = tuple(moves)
+        self.moves = tuple(move for _, move in moves.values())
+        chances = [probability for probability, _ in moves.values()]
+        self.probabilities = parameter(chances) if is_concrete(chances) else jnp.stack(chances)
+        if is_concrete(self.probabilities):
+            p = np.asarray(self.probabilities)
+            require(
+                bool(np.all(p >= 0)) and abs(p.sum() - 1) < 1e-6,
+                f"Mixture: the moves' probabilities must sum to one; {dict(zip(self.names, p, strict=True))}",
+            )
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        return self.names
+
+    def dim_w(self, target: Multiplexed) -> int:
+        return 1 + max(move.dim_w(target) for move in self.moves)
+
+    def check(self, target: Multiplexed) -> None:
+        for move in self.moves:
+            move.check(target)
+
+    def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
+        chosen = locate(cumulative([jnp.asarray(p) for p in self.probabilities]), w[0])
+        points, rests, evals = [], [], []
+        for move in self.moves:
+            r = move.dim_w(target)
+            proposal = move.propose(target, state, w[1 : 1 + r])
+            points.append((proposal.state.index, proposal.state.u, proposal.log_det))
+            rests.append(jnp.concatenate([w[:1], proposal.w, w[1 + r :]]))
+            evals.append(proposal.state.eval)
+        index, u, log_det = pick(points, chosen)
+        return Proposal(State(index, u, _merge(target, State(index, u), evals, chosen)), pick(rests, chosen), log_det, chosen)
+
+
+def _merge(target: Multiplexed, state: State, evals: list[Eval | None], chosen: Array) -> Eval | None:
+    """The chosen proposal's evaluation; the moves that have none share a single one."""
+    if all(known is None for known in evals):
+        return None
+    fresh = target.evaluate(state).eval if any(known is None for known in evals) else None
+    return pick([fresh if known is None else known for known in evals], chosen)
+
+
+def _examples() -> dict[str, Move]:
+    from mcmc1d.moves.primary import LargeStep, SmallStep
+    from mcmc1d.moves.reversible_jump import AimedJump
+    from mcmc1d.moves.technique import StepAndChange
+
+    return {
+        "mixture": Mixture(
+            {
+                "large": (0.1, StepAndChange(LargeStep())),
+                "small": (0.6, SmallStep(0.1)),
+                "jump": (0.3, AimedJump()),
+            }
+        )
+    }
+
+
+EXAMPLES = _examples()

@@ -1,0 +1,91 @@
+"""Exact integrals over bins, by adaptive quadrature with an error bound, on the host in float64."""
+
+import itertools
+from collections.abc import Callable, Iterable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import cubature
+
+from mcmc1d.numerics import cast, require
+from mcmc1d.types import Array, Float
+
+
+def integrate(
+    function: Callable[[Float[Array, "..."]], Float[Array, "..."]],
+    edges: np.ndarray,
+    breaks: Iterable[float] = (),
+    tolerance: float = 1e-11,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The integral of a JAX function of one scalar over each of the bins between the n + 1 `edges`.
+
+    `function` maps a scalar x to an array of any shape. The bins are split at `breaks` (where it jumps or bends) and
+    then halved until the Gauss-Kronrod error estimate is under `tolerance` times the whole integral. Returns the
+    integrals and their error estimates, both of shape (n, ...). Raises `ValueError` where that is out of reach.
+    """
+    edges = np.asarray(edges, np.float64)
+    require(
+        edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)), f"integrate: edges must rise: {edges}"
+    )
+    inner = [b for b in breaks if edges[0] < b < edges[-1]]
+    cuts = np.unique(np.concatenate([edges, inner]))
+    with jax.enable_x64(True):
+        evaluate = eqx.filter_jit(eqx.filter_vmap(cast(function, jnp.float64)))
+
+        def on_nodes(t: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+            # All pieces at once: node t of [0, 1] in each piece, scaled by its width.
+            x = a + t * (b - a)
+            values = np.asarray(evaluate(jnp.asarray(x.ravel())))
+            values = values.reshape(x.shape + values.shape[1:])
+            return values * (b - a).reshape((1, -1) + (1,) * (values.ndim - 2))
+
+        a, b = cuts[:-1], cuts[1:]
+        scale = np.abs(on_nodes(np.linspace(0, 1, 33)[1:-1, None], a, b)).mean(0).sum(0).max()
+        require(bool(np.isfinite(scale)), "integrate: the function is not finite somewhere inside the bins")
+        result = cubature(
+            lambda t: on_nodes(t, a, b),
+            [0.0],
+            [1.0],
+            rule="gk21",
+            rtol=0,
+            atol=max(tolerance * scale / len(a), 1e-300),
+            max_subdivisions=2000,
+        )
+    require(
+        result.status == "converged",
+        f"integrate: the error is {np.max(result.error):.2g} after {result.subdivisions} subdivisions, above "
+        f"{tolerance:.2g} of the whole; name the points where the function jumps or bends in `breaks`",
+    )
+    bins = np.searchsorted(edges, (a + b) / 2) - 1
+    shape = (edges.size - 1, *result.estimate.shape[1:])
+    integral, error = np.zeros(shape), np.zeros(shape)
+    np.add.at(integral, bins, result.estimate)
+    np.add.at(error, bins, result.error)
+    return integral, error
+
+
+def integrate_box(
+    function: Callable[[Float[Array, " d"]], Float[Array, ""]],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    tolerance: float = 1e-6,
+) -> tuple[float, float]:
+    """The integral of a JAX function of a (d,) array over a box (infinite sides allowed), and its error estimate."""
+    with jax.enable_x64(True):
+        evaluate = eqx.filter_jit(eqx.filter_vmap(cast(function, jnp.float64)))
+        result = cubature(
+            lambda x: np.asarray(evaluate(jnp.asarray(x))), lower, upper, rtol=0, atol=tolerance, max_subdivisions=500
+        )
+    return float(result.estimate), float(result.error)
+
+
+def midpoints(lower: np.ndarray, upper: np.ndarray, count: int) -> np.ndarray:
+    """About `count` midpoints of a regular grid over a box: shape (n,) for scalars, (n, d) for corners of shape (d,)."""
+    lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+    if lower.ndim == 0:
+        return lower + (upper - lower) * (np.arange(count) + 0.5) / count
+    side = max(2, round(count ** (1 / lower.size)))
+    grid = np.array(list(itertools.product((np.arange(side) + 0.5) / side, repeat=lower.size)))
+    return lower + (upper - lower) * grid

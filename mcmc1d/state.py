@@ -1,0 +1,209 @@
+"""The state of a chain, and the density it samples: a target seen through several techniques at once."""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.numerics import cast, is_concrete, pick, require
+from mcmc1d.quadrature import integrate, midpoints
+from mcmc1d.targets import DensityOf, Target
+from mcmc1d.techniques import Technique, sample_shape
+from mcmc1d.types import Array, Bool, Float, Index, Scalar
+from mcmc1d.weights import Balance, FromFunction, Weights
+
+
+class Eval(eqx.Module):
+    """All that one evaluation of (index, u) found out, kept so that a jump need not ask again."""
+
+    x: Float[Array, "..."]
+    v: Float[Array, " k"]
+    """What of u the sample forgets, the numbers that the technique does not read included."""
+    log_det: Scalar
+    """log|d(x, v)/du| of the technique in use."""
+    log_f: Scalar
+    log_p: tuple[Scalar, ...]
+    """log p_i(x), with respect to dx, of every technique."""
+    log_c: Scalar
+    """log C_i(u), the log-density of the state."""
+
+
+class State(eqx.Module):
+    """A point of multiplexed primary sample space: a technique's index and the uniform numbers u in [0, 1)^m.
+
+    `eval` is None while nothing has been evaluated; `Multiplexed.evaluate` fills it.
+    """
+
+    index: Index
+    u: Float[Array, " m"]
+    eval: Eval | None = None
+
+
+class Multiplexed(eqx.Module):
+    """The target f seen through techniques S_i and weights w_i: the density on (i, u) that a chain samples.
+
+    C_i(u) = w_i(x) f(x) / p_i(x) at x = S_i(u), with respect to counting measure on i and du on [0, 1)^m, m being
+    the number that the hungriest technique reads (Hachisuka et al. 2014, eq. 16; Bitterli et al. 2017, eq. 4). Its
+    marginal in x is f / b, and given x that of the technique is w_i(x).
+
+    Making one looks at f, p and w on a grid of `probes` points and raises `ValueError` where the density is NaN,
+    infinite, negative or zero everywhere, where the weights do not sum to one or are positive where their
+    technique's density is zero, and where no technique reaches f.
+    """
+
+    target: Target
+    techniques: tuple[Technique, ...]
+    weights: Weights
+
+    def __init__(
+        self,
+        target: Target,
+        techniques: Technique | Sequence[Technique],
+        weights: Weights | Callable[[Array, Array], Array] | None = None,
+        *,
+        probes: int = 2048,
+    ):
+        """`weights`: the balance heuristic unless given; a function (x, p[n]) -> w[n] will do."""
+        self.target = target
+        self.techniques = (techniques,) if isinstance(techniques, Technique) else tuple(techniques)
+        if weights is None:
+            weights = Balance()
+        self.weights = weights if isinstance(weights, Weights) else FromFunction(weights)
+        require(len(self.techniques) > 0, "Multiplexed: give one technique at least")
+        shapes = {sample_shape(technique) for technique in self.techniques} | {np.shape(target.domain[0])}
+        require(
+            len(shapes) == 1,
+            f"Multiplexed: the target's points and the techniques' samples must have one shape, not {sorted(shapes)}",
+        )
+        if is_concrete(self.target, self.techniques, self.weights):
+            _probe(self, probes)
+
+    @property
+    def n_techniques(self) -> int:
+        """How many techniques there are: the constant by which a uniform choice of one multiplies."""
+        return len(self.techniques)
+
+    @property
+    def dim_u(self) -> int:
+        """m, the length of the state's u."""
+        return max(technique.dim_u for technique in self.techniques)
+
+    @property
+    def dim_v(self) -> int:
+        """k = m - d, the length of the state's v."""
+        return self.dim_u - int(np.prod(np.shape(self.target.domain[0])))
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Where in x the target, a technique's density or the weights may jump or bend."""
+        points = set(self.target.breaks).union(*(technique.breaks for technique in self.techniques))
+        points.update(float(end) for t in self.techniques for end in t.support if np.ndim(end) == 0)
+        return tuple(sorted(points.union(getattr(self.weights, "breaks", ()))))
+
+    def forward(self, index: Index, u: Float[Array, " m"]) -> tuple[Array, Array, Scalar]:
+        """(x, v, log|d(x, v)/du|) of technique `index`; what it does not read of u closes its v."""
+        options = []
+        for technique in self.techniques:
+            x, v, log_det = technique.forward(u[: technique.dim_u])
+            options.append((x, jnp.concatenate([v, u[technique.dim_u :]]), log_det))
+        return pick(options, index)
+
+    def inverse(self, index: Index, x: Float[Array, "..."], v: Float[Array, " k"]) -> tuple[Array, Scalar]:
+        """(u, log|du/d(x, v)|) of technique `index`, the inverse of `forward`."""
+        options = []
+        for technique in self.techniques:
+            k = self.dim_v - (self.dim_u - technique.dim_u)
+            u, log_det = technique.inverse(x, v[:k])
+            options.append((jnp.concatenate([u, v[k:]]), log_det))
+        return pick(options, index)
+
+    def evaluate(self, state: State) -> State:
+        """The state with its `eval` filled in; as it is where that has been done."""
+        if state.eval is not None:
+            return state
+        x, v, log_det = self.forward(state.index, state.u)
+        log_p = tuple(technique.log_prob(x) for technique in self.techniques)
+        log_f = self.target.log_f(x)
+        return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, self.log_c(state.index, x, log_f, log_p)))
+
+    def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
+        """log w_i(x) of every technique."""
+        return self.weights.log_weights(x, log_p)
+
+    def log_c(self, index: Index, x: Float[Array, "..."], log_f: Scalar, log_p: Sequence[Scalar]) -> Scalar:
+        """log w_i(x) f(x) / p_i(x); -inf where the target, or the technique's share of it, is zero."""
+        ratio = pick(self.log_weights(x, log_p), index) - pick(log_p, index)
+        # -inf - -inf: a sample where its own technique's density is zero to the last bit stands for nothing.
+        return jnp.where(jnp.isnan(ratio), -jnp.inf, ratio) + log_f
+
+    def joint_masses(self, edges: np.ndarray) -> np.ndarray:
+        """The exact law of (technique, x): the integral of w_i f / b over each bin, of shape (n_techniques, bins).
+
+        By adaptive quadrature, split where f, p and w are known to jump; its sum over the techniques is the law of
+        x, which `target.bin_masses` gives independently.
+        """
+        masses = integrate(_Shares(self), np.asarray(edges, np.float64), self.breaks)[0].T
+        return masses / masses.sum()
+
+
+class _Shares(eqx.Module):
+    """w_i(x) f(x) for every technique, as a function of x."""
+
+    target: Multiplexed
+
+    def __call__(self, x: Scalar) -> Float[Array, " n"]:
+        log_p = tuple(technique.log_prob(x) for technique in self.target.techniques)
+        weights = jnp.exp(jnp.stack(list(self.target.weights.log_weights(x, log_p))))
+        f = DensityOf(self.target.target)(x)
+        return jnp.where(f > 0, weights * f, 0)
+
+
+@eqx.filter_jit
+def _look(target: Multiplexed, points: Float[Array, "n ..."]) -> tuple[Array, Array, Array]:
+    """log f, p and log w at each point."""
+
+    def at(x: Float[Array, "..."]) -> tuple[Array, Array, Array]:
+        log_p = tuple(technique.log_prob(x) for technique in target.techniques)
+        return target.target.log_f(x), jnp.stack(log_p), jnp.stack(list(target.weights.log_weights(x, log_p)))
+
+    return jax.vmap(at)(points)
+
+
+def _probe(target: Multiplexed, probes: int) -> None:
+    """Raise `ValueError` for what no chain could sample, naming the thing and the first point."""
+    points = midpoints(*target.target.domain, probes)
+    with jax.enable_x64(True):
+        log_f, log_p, log_w = (np.asarray(a) for a in _look(cast(target, jnp.float64), jnp.asarray(points)))
+    name = type(target.target).__name__
+
+    def first(bad: Bool[np.ndarray, " n"], message: str) -> None:
+        if bad.any():
+            raise ValueError(message.format(x=points[np.argmax(bad)]))
+
+    require(log_f.shape == (len(points),), f"{name}.log_f must return one number for one x, not shape {log_f.shape[1:]}")
+    first(np.isnan(log_f), f"{name} is NaN at x = {{x}}: the density is negative or undefined there")
+    first(np.isposinf(log_f), f"{name} is infinite at x = {{x}}")
+    require(bool(np.any(np.isfinite(log_f))), f"{name} is zero everywhere on its domain: there is nothing to sample")
+    lit = np.isfinite(log_f)
+    for i, technique in enumerate(target.techniques):
+        who = f"technique {i} ({type(technique).__name__})"
+        first(lit & np.isnan(log_p[:, i]), f"{who}: log_prob is NaN at x = {{x}}")
+        first(lit & np.isposinf(log_p[:, i]), f"{who}: log_prob is infinite at x = {{x}}")
+    reached = (log_p > -np.inf).any(1)
+    first(lit & ~reached, f"no technique reaches x = {{x}}, where {name} is positive: that mass would be lost; add one")
+    weights = np.exp(log_w)
+    first(lit & np.isnan(log_w).any(1), "the weights are NaN or negative at x = {x}")
+    lost = (weights > 0) & ~(log_p > -np.inf)
+    for i in range(target.n_techniques):
+        first(
+            lit & lost[:, i],
+            f"the weight of technique {i} ({type(target.techniques[i]).__name__}) is positive at x = {{x}}, where its "
+            "density is zero: that mass would be lost; give it weight zero there",
+        )
+    total = weights.sum(1)
+    wrong = lit & (np.abs(total - 1) > 1e-6)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise ValueError(f"the weights sum to {total[k]:.6g}, not to one, at x = {points[k]}")

@@ -1,0 +1,88 @@
+"""Targets from tables of numbers: piecewise linear, and tabulated on equal cells."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from mcmc1d.numerics import locate, require
+from mcmc1d.targets.base import Target
+from mcmc1d.types import Float, Real, Scalar
+
+
+class PiecewiseLinear(Target):
+    """f interpolates `values` linearly between `knots`; zero outside."""
+
+    knots: Float[Real, " n+1"]
+    values: Float[Real, " n+1"]
+
+    def __init__(self, knots: ArrayLike, values: ArrayLike):
+        """`knots`: n + 1 rising numbers; `values`: f there, none negative, not all zero."""
+        self.knots, self.values = np.asarray(knots, np.float64), np.asarray(values, np.float64)
+        require(
+            self.knots.ndim == 1 and self.knots.size >= 2 and bool(np.all(np.diff(self.knots) > 0)),
+            f"PiecewiseLinear: give at least two rising knots, not {self.knots}",
+        )
+        _require_density("PiecewiseLinear", self.values, self.knots.shape)
+
+    @property
+    def domain(self) -> tuple[ArrayLike, ArrayLike]:
+        return self.knots[0], self.knots[-1]
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return tuple(np.asarray(self.knots)[1:-1].tolist())
+
+    def log_f(self, x: Scalar) -> Scalar:
+        return jnp.log(jnp.interp(x, self.knots, self.values, left=0, right=0))
+
+    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+        knots, values = np.asarray(self.knots), np.asarray(self.values)
+        edges = np.clip(np.asarray(edges, np.float64), knots[0], knots[-1])
+        # The trapezoid rule is exact between knots; the bins are cut there and the pieces summed.
+        cuts = np.union1d(edges, knots)
+        f = np.interp(cuts, knots, values)
+        pieces = np.concatenate([[0.0], np.cumsum((f[1:] + f[:-1]) / 2 * np.diff(cuts))])
+        return np.diff(pieces[np.searchsorted(cuts, edges)])
+
+
+class Tabulated(Target):
+    """f is constant on each of n equal cells of [0, 1]: a 1D image."""
+
+    values: Float[Real, " n"]
+
+    def __init__(self, values: ArrayLike):
+        """`values`: f in each cell, none negative, not all zero."""
+        self.values = np.asarray(values, np.float64)
+        _require_density("Tabulated", self.values, (self.values.size,))
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return tuple(self._edges()[1:-1].tolist())
+
+    def log_f(self, x: Scalar) -> Scalar:
+        inside = (x >= 0) & (x <= 1)
+        # The cells of `bin_masses`, to the last bit, so that f and its masses agree on where it jumps.
+        return jnp.where(inside, jnp.log(jnp.asarray(self.values))[locate(self._edges().astype(x.dtype), x)], -jnp.inf)
+
+    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+        inside = np.clip(np.asarray(edges, np.float64), 0, 1)
+        total = np.concatenate([[0.0], np.cumsum(np.asarray(self.values) / self.values.size)])
+        return np.diff(np.interp(inside, self._edges(), total))
+
+    def _edges(self) -> np.ndarray:
+        return np.arange(self.values.shape[0] + 1) / self.values.shape[0]
+
+
+def _require_density(name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
+    require(values.shape == shape, f"{name}: needs {shape[0]} values, not shape {values.shape}")
+    bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0)))
+    require(
+        bad.size == 0, f"{name}: a density is finite and not negative; value {bad[:1]} is {values[bad[:1]]}"
+    )
+    require(bool(values.any()), f"{name}: the target is zero everywhere")
+
+
+EXAMPLES = {
+    "piecewise_linear": PiecewiseLinear([0, 0.1, 0.4, 0.7, 1], [3, 0.5, 0, 0, 2]),
+    "tabulated": Tabulated([1, 0, 0, 4, 2, 0.25, 3, 7, 1, 5]),
+}

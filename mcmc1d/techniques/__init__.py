@@ -1,0 +1,27 @@
+"""Sampling techniques as bijections u <-> (x, v); a family in each file, with its `EXAMPLES`."""
+
+from mcmc1d.techniques.base import Inversion, Technique, dim_v, sample_shape, within
+from mcmc1d.techniques.compose import Compose
+from mcmc1d.techniques.elementary import Ramp, Tent, Uniform
+from mcmc1d.techniques.mixture import Mixture
+from mcmc1d.techniques.piecewise import PiecewiseConstant, PiecewiseLinear, Tabulated
+from mcmc1d.techniques.sinusoid import RaisedSinusoid
+from mcmc1d.techniques.truncated_normal import TruncatedNormal
+
+__all__ = [
+    "Compose",
+    "Inversion",
+    "Mixture",
+    "PiecewiseConstant",
+    "PiecewiseLinear",
+    "RaisedSinusoid",
+    "Ramp",
+    "Tabulated",
+    "Technique",
+    "Tent",
+    "TruncatedNormal",
+    "Uniform",
+    "dim_v",
+    "sample_shape",
+    "within",
+]

@@ -1,0 +1,98 @@
+"""What a sampling technique is: a bijection between primary samples and (the sample, what the sample forgets)."""
+
+import abc
+from typing import TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import ArrayLike
+
+from mcmc1d.numerics import below_one
+from mcmc1d.types import Array, Float, Scalar
+
+Forward: TypeAlias = tuple[Float[Array, "..."], Float[Array, " k"], Scalar]
+Inverse: TypeAlias = tuple[Float[Array, " m"], Scalar]
+
+
+class Technique(eqx.Module):
+    """A bijection u <-> (x, v) that makes a sample x out of uniform numbers u and keeps the rest as v.
+
+    `u` in [0, 1)^m is the primary sample, `x` the sample (a scalar, or an array of shape (d,)), `v` in [0, 1)^k all
+    of `u` that `x` forgets, k = m - d: an unused dimension, the place inside an ambiguous interval, which lobe of a
+    mixture was used. With `v` kept nothing is lost; the "probabilistic inverse" of Bitterli et al. 2017, section 5,
+    is this inverse at a fresh uniform `v`.
+
+    Everything is written for one sample; callers `vmap`. A subclass is final: it defines `dim_u` (m, a plain class
+    attribute or a property), `forward`, `inverse` and `log_prob`, and is held to them by `verify.check_technique`.
+    """
+
+    dim_u: eqx.AbstractVar[int]
+    """m, how many uniform numbers the technique reads."""
+
+    @property
+    def support(self) -> tuple[ArrayLike, ArrayLike]:
+        """The lower and upper corner of an interval or box that holds every x; the unit interval unless redefined."""
+        return 0.0, 1.0
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Where in x the density of a 1D technique jumps or bends; quadrature is split there."""
+        return ()
+
+    @abc.abstractmethod
+    def forward(self, u: Float[Array, " m"]) -> Forward:
+        """(x, v, log|d(x, v)/du|) at `u`: the technique's own log-determinant, also where it is not -log p(x)."""
+
+    @abc.abstractmethod
+    def inverse(self, x: Float[Array, "..."], v: Float[Array, " k"]) -> Inverse:
+        """(u, log|du/d(x, v)|), the inverse of `forward`; outside the support the log-determinant is -inf."""
+
+    @abc.abstractmethod
+    def log_prob(self, x: Float[Array, "..."]) -> Scalar:
+        """The log-density of x with respect to Lebesgue measure dx, v integrated out; -inf outside the support."""
+
+
+class Inversion(Technique):
+    """A 1D technique by the inversion method: x = P^-1(u), for the cumulative distribution function P.
+
+    A subclass defines `quantile`, `cdf` and `log_prob`; then |dx/du| = 1/p(x) and nothing is forgotten (Bitterli et
+    al. 2017, section 6).
+    """
+
+    dim_u = 1
+
+    @abc.abstractmethod
+    def quantile(self, u: Scalar) -> Scalar:
+        """The x below which lies a share u of the density."""
+
+    @abc.abstractmethod
+    def cdf(self, x: Scalar) -> Scalar:
+        """The share of the density below x."""
+
+    def forward(self, u: Float[Array, " 1"]) -> Forward:
+        """(P^-1(u), nothing, -log p)."""
+        x = self.quantile(u[0])
+        return x, u[1:], -self.log_prob(x)
+
+    def inverse(self, x: Scalar, v: Float[Array, " 0"]) -> Inverse:
+        """(P(x), log p)."""
+        x = jnp.asarray(x)
+        return below_one(self.cdf(x))[None], self.log_prob(x)
+
+
+def sample_shape(technique: Technique) -> tuple[int, ...]:
+    """The shape of the technique's x: () for a scalar."""
+    u = jax.ShapeDtypeStruct((technique.dim_u,), jnp.zeros(()).dtype)
+    return eqx.filter_eval_shape(technique.forward, u)[0].shape
+
+
+def dim_v(technique: Technique) -> int:
+    """k, how many uniform numbers the technique's sample forgets."""
+    u = jax.ShapeDtypeStruct((technique.dim_u,), jnp.zeros(()).dtype)
+    return eqx.filter_eval_shape(technique.forward, u)[1].shape[0]
+
+
+def within(x: Scalar, log_prob: Scalar, lower: ArrayLike = 0.0, upper: ArrayLike = 1.0) -> Scalar:
+    """`log_prob` for x in [lower, upper], -inf outside."""
+    return jnp.where((x >= lower) & (x <= upper), log_prob, -jnp.inf)
