@@ -1,0 +1,140 @@
+"""Comparing two sides of an equation at many points, at machine precision, fairly.
+
+Two floats that should be equal differ by rounding, and how much of it is to be forgiven depends on the point: the
+tolerance is a multiple of the point's condition number, and both sides are compared as a backward-stable computation
+would be, at a point within the tolerance (a sample that rounds across a jump of the density lies on its other side).
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from mcmc1d.verify.report import Check, numbers
+
+QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+"""Compiler options for code that is compiled to run once: compiling is nearly all of a contract's time."""
+
+TOLERANCE = {np.dtype(np.float64): 1e-10, np.dtype(np.float32): 2e-5}
+"""Times the condition number of a point: 5e5 roundings in float64; 170 in float32, where fewer digits are to spare."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of the unit cube with the condition number of the map at each; infinite where it is singular."""
+
+    values: np.ndarray
+    condition: np.ndarray
+    free: int = 0
+    """How many leading coordinates are those of a sample x and so not confined to [0, 1)."""
+
+    @property
+    def regular(self) -> np.ndarray:
+        """Where the map has finite derivatives."""
+        return np.isfinite(self.condition)
+
+    @property
+    def tolerance(self) -> np.ndarray:
+        """The tolerance at each point."""
+        return TOLERANCE[self.values.dtype] * self.condition
+
+
+def condition_number(jacobian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """At each point the largest of 1, the entries of the Jacobian and of its inverse, and the log-det's slopes.
+
+    `jacobian` (n, d, d) and `gradient` (n, d); infinite where either is not finite or the Jacobian is singular.
+    """
+    n, d = jacobian.shape[:2]
+    if d == 0:
+        return np.ones(n)
+    finite = np.isfinite(jacobian).all((1, 2)) & np.isfinite(gradient).all(1)
+    safe = np.where(finite[:, None, None], jacobian, np.eye(d)).astype(np.float64)
+    regular = finite & (np.abs(np.linalg.det(safe)) > 0)
+    inverse = np.linalg.inv(np.where(regular[:, None, None], safe, np.eye(d)))
+    largest = np.max([np.abs(safe).max((1, 2)), np.abs(inverse).max((1, 2)), np.abs(gradient).max(1)], axis=0)
+    return np.where(regular, np.maximum(largest, 1), np.inf)
+
+
+def log_abs_det(jacobian: np.ndarray) -> np.ndarray:
+    """log|det| of a stack of matrices, shape (n,)."""
+    if jacobian.shape[-1] == 0:
+        return np.zeros(len(jacobian))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.linalg.slogdet(jacobian.astype(np.float64))[1]
+
+
+def distance(left: Any, right: Any) -> np.ndarray:
+    """The largest difference at each point between two pytrees of arrays with a leading axis of points.
+
+    Equal infinities are equal; NaN is infinitely far from everything.
+    """
+    parts = []
+    for a, b in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        a, b = (np.asarray(v, np.float64).reshape(len(v), -1) for v in (a, b))
+        with np.errstate(invalid="ignore"):
+            parts.append(np.where(a == b, 0, np.abs(a - b)))
+    apart = np.concatenate(parts, axis=1)
+    return np.where(np.isnan(apart), np.inf, apart).max(1, initial=0)
+
+
+def compare(
+    equation: str,
+    points: Points,
+    side: Callable[[np.ndarray, np.ndarray], Any],
+    expected: Any,
+    among: np.ndarray | None = None,
+    describe: Callable[[int], str] | None = None,
+    note: str = "",
+) -> Check:
+    """Hold `side(values, rows)` to `expected` at the regular points (of those `among`).
+
+    `side` is vectorised over points and is called with one number of them, so that it compiles once; `rows` says
+    which of the points each was made from. Where it misses, it is tried at neighbours within the tolerance, and the
+    best of them is taken.
+    """
+    look = points.regular if among is None else points.regular & among
+    count = int(look.sum())
+    if count == 0:
+        return Check(equation, False, 0, np.nan, np.nan, note="no regular point to check it at")
+    rows = np.arange(len(look))
+    error = np.where(look, distance(side(points.values, rows), expected), 0)
+    missed = np.flatnonzero(error > np.where(look, points.tolerance, np.inf))
+    if 0 < len(missed) <= len(look) // 4:
+        for moved, which in _neighbours(points, missed):
+            there = distance(side(moved, which), jax.tree.map(lambda e, which=which: np.asarray(e)[which], expected))
+            np.minimum.at(error, which, there)
+    ratio = np.where(look, error / np.where(look, points.tolerance, 1), 0)
+    worst = int(np.argmax(ratio))
+    where = describe(worst) if describe else numbers(points.values[worst])
+    passed = bool(ratio[worst] <= 1)
+    return Check(equation, passed, count, float(error[worst]), float(points.tolerance[worst]), where, note)
+
+
+def directions(dimension: int) -> np.ndarray:
+    """Where the neighbours of a point lie: every combination of up, not, down in a few dimensions, else some."""
+    if dimension <= 3:
+        return np.array([d for d in itertools.product((1, 0, -1), repeat=dimension) if any(d)])
+    some = np.random.default_rng(0).integers(-1, 2, (20, dimension))
+    axes = np.eye(dimension, dtype=int)
+    return np.concatenate([axes, -axes, [[1] * dimension, [-1] * dimension], some])
+
+
+def _neighbours(points: Points, missed: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The missed points moved by a few roundings, and by up to the tolerance: nothing but a jump hides there.
+
+    In batches of as many as there are points, with the rows that they come from.
+    """
+    n, dtype = len(points.values), points.values.dtype
+    steps = TOLERANCE[dtype] * np.array([1e-5, 1e-3, 1.0])
+    moves = (steps[:, None, None] * directions(points.values.shape[1])).reshape(-1, points.values.shape[1])
+    below_one = np.nextafter(np.ones((), dtype), np.zeros((), dtype))
+    free = np.arange(points.values.shape[1]) < points.free
+    rows, shifts = np.repeat(missed, len(moves)), np.tile(moves, (len(missed), 1))
+    for first in range(0, len(rows), n):
+        which = np.resize(rows[first : first + n], n)
+        start = points.values[which]
+        moved = start + np.resize(shifts[first : first + n], start.shape) * np.where(free, np.maximum(1, np.abs(start)), 1)
+        yield np.where(free, moved, np.clip(moved, 0, below_one)).astype(dtype), which
