@@ -42,20 +42,24 @@ class Points:
         return TOLERANCE[self.values.dtype] * self.condition
 
 
-def condition_number(jacobian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+def condition_number(jacobian: np.ndarray, slope: np.ndarray, log_det: np.ndarray) -> np.ndarray:
     """At each point the largest of 1, the entries of the Jacobian and of its inverse, and the log-det's slopes.
 
-    `jacobian` (n, d, d) and `gradient` (n, d); infinite where either is not finite or the Jacobian is singular.
+    `jacobian` (n, d, d), `slope` (n, d) and the claimed `log_det` (n,). Infinite at a singular point: where a
+    derivative is not finite, or where the determinant is zero and is said to be. One that is zero and is not said to
+    be is a mistake, and keeps a finite condition number to be caught by.
     """
     n, d = jacobian.shape[:2]
     if d == 0:
         return np.ones(n)
-    finite = np.isfinite(jacobian).all((1, 2)) & np.isfinite(gradient).all(1)
+    finite = np.isfinite(jacobian).all((1, 2)) & np.isfinite(slope).all(1)
     safe = np.where(finite[:, None, None], jacobian, np.eye(d)).astype(np.float64)
-    regular = finite & (np.abs(np.linalg.det(safe)) > 0)
-    inverse = np.linalg.inv(np.where(regular[:, None, None], safe, np.eye(d)))
-    largest = np.max([np.abs(safe).max((1, 2)), np.abs(inverse).max((1, 2)), np.abs(gradient).max(1)], axis=0)
-    return np.where(regular, np.maximum(largest, 1), np.inf)
+    invertible = np.abs(np.linalg.det(safe)) > 0
+    inverse = np.linalg.inv(np.where(invertible[:, None, None], safe, np.eye(d)))
+    steepest = np.where(finite, np.abs(slope).max(1), 0)
+    largest = np.max([np.abs(safe).max((1, 2)), np.abs(inverse).max((1, 2)), steepest], axis=0)
+    singular = ~finite | (~invertible & ~np.isfinite(log_det))
+    return np.where(singular, np.inf, np.maximum(largest, 1))
 
 
 def log_abs_det(jacobian: np.ndarray) -> np.ndarray:

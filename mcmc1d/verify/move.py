@@ -82,7 +82,7 @@ class _Contract:
         out = at(uw, np.arange(len(uw)))
         # A move looks at x, f and p at both ends: where they are steep, its own rounding is amplified likewise.
         steepness = np.where(np.isfinite(out.sensitivity), out.sensitivity, np.inf)
-        points = Points(uw, np.maximum(condition_number(out.jacobian, out.slope), steepness))
+        points = Points(uw, np.maximum(condition_number(out.jacobian, out.slope, out.log_det), steepness))
         inside = ((out.uw >= 0) & (out.uw < 1)).all(1)
         possible = inside & np.isfinite(out.log_det)
 

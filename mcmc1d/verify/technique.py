@@ -75,7 +75,7 @@ class _Contract:
             f"{type(self.technique).__name__}: u has {m} numbers, but x and v together {image.shape[1]}; what x forgets "
             "of u must be returned as v, and nothing more",
         )
-        at_u = Points(u, condition_number(jacobian, slope))
+        at_u = Points(u, condition_number(jacobian, slope, log_det))
         at_image = Points(image, at_u.condition, free=self.d)
         back, log_det_back, log_prob = self.inverse(image)
 
@@ -192,7 +192,7 @@ class _Contract:
         fresh = np.column_stack([image[:, : self.d], v]).astype(self.dtype)
         at, log_det, _ = self.inverse(fresh)
         there, log_det_there, jacobian, slope = self.forward(at)
-        points = Points(at, condition_number(jacobian, slope))
+        points = Points(at, condition_number(jacobian, slope, log_det_there))
 
         def describe(k: int) -> str:
             return (
