@@ -46,9 +46,15 @@ def cast(tree: T, dtype: Any) -> T:
 # --- the unit interval -----------------------------------------------------------------------------------------------
 
 
+@jax.custom_jvp
 def limit(x: Float[Array, "..."], lower: ArrayLike, upper: ArrayLike) -> Float[Array, "..."]:
-    """`x` limited to [lower, upper]; at the limits themselves its derivative is still 1 (`clip` makes it 1/2)."""
+    """`x` limited to [lower, upper], with the derivative of x: a guard against rounding, which is not mathematics."""
     return jnp.where(x < lower, lower, jnp.where(x > upper, upper, x))
+
+
+@limit.defjvp
+def _limit_jvp(primals: tuple[Any, Any, Any], tangents: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    return limit(*primals), tangents[0]
 
 
 def below_one(u: Float[Array, "..."]) -> Float[Array, "..."]:

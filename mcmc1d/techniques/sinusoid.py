@@ -55,8 +55,7 @@ class RaisedSinusoid(Inversion):
         # difference; next to a minimum the residual is rounding alone and would be blown up, so only its derivatives
         # are kept.
         mend = (jnp.abs(y) > 0.125) | (p > 4 * n * x)
-        x = x - jnp.where(mend, residual, residual - stop_gradient(residual)) / p
-        return x + stop_gradient(limit(x, 0, 1) - x)
+        return limit(x - jnp.where(mend, residual, residual - stop_gradient(residual)) / p, 0, 1)
 
     def cdf(self, x: Scalar) -> Scalar:
         x = jnp.asarray(x)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.base import zero
-from mcmc1d.numerics import below_one, normal_quantile
+from mcmc1d.numerics import normal_quantile
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 from mcmc1d.verify.mutants import Mutant
@@ -17,7 +17,7 @@ class ClampedStep(Move):
         return target.dim_u
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
-        u = below_one(state.u + 0.2 * normal_quantile(w))
+        u = jnp.clip(state.u + 0.2 * normal_quantile(w), 0, 0.999)
         return Proposal(State(state.index, u), 1 - w, zero(u))
 
 
