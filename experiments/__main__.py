@@ -1,0 +1,130 @@
+"""`python -m experiments`: list and run the experiments, show their claims."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import typer
+from rich.console import Console
+
+from experiments.support import framework
+from experiments.support.progress import bars
+
+app = typer.Typer(
+    help="Reproduce the papers' experiments: figures, data and claims with verdicts.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+console, errors = Console(), Console(stderr=True)
+
+Out = Annotated[Path, typer.Option(help="Where results are written, and read from.")]
+
+
+@app.command("list")
+def list_() -> None:
+    """List the experiments, their profiles and the fields that --set knows."""
+    for name in framework.names():
+        module = framework.load(name)
+        console.print(f"[bold]{name}[/]: {(module.__doc__ or '').splitlines()[0]}")
+        for profile, config in module.PROFILES.items():
+            console.print(f"  {profile}: {config}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def run(
+    names: Annotated[list[str] | None, typer.Argument(help="Which experiments; see `list`.")] = None,
+    all_: Annotated[bool, typer.Option("--all", help="Every experiment.")] = False,
+    profile: Annotated[str, typer.Option(help="quick (a minute or so each) or paper.")] = "quick",
+    seed: Annotated[int, typer.Option(help="The same seed gives the same numbers.")] = 0,
+    out: Out = Path("figures"),
+    set_: Annotated[list[str] | None, typer.Option("--set", help="Override a field: name=value, repeatable.")] = None,
+) -> None:
+    """Run experiments: write NAME.png, .pdf, .nc and .json; exit 1 where a verdict is not what theory predicts."""
+    if bool(names) == all_:
+        raise ValueError("name the experiments to run, or say --all")
+    chosen = framework.names() if all_ else list(names or [])
+    # Everything that can be wrong with the request is found before the first experiment spends its time.
+    jobs = []
+    for name in chosen:
+        module = framework.load(name)
+        jobs.append((name, module, framework.configure(module, profile, set_ or [])))
+    framework.require_writable(out)
+    framework.style()
+    surprises = []
+    for name, module, config in jobs:
+        with bars(errors) as progress:
+            data = module.run(config, seed, progress)
+        claims = module.judge(data)
+        record = framework.manifest(name, profile, config, seed, claims)
+        paths = framework.write(out, name, data, module.draw(data), record)
+        console.print(module.table(data))
+        _print_claims(claims)
+        console.print(f"{name}, seed {seed}: " + ", ".join(str(path) for path in paths), highlight=False, soft_wrap=True)
+        surprises += [claim for claim in claims if not claim.as_expected]
+    for claim in surprises:
+        errors.print(f"[red]{claim.id}: {claim.verdict}, where theory says {claim.expected}: {claim.number}[/]")
+    if surprises:
+        raise typer.Exit(1)
+
+
+@app.command()
+def claims(
+    out: Out = Path("figures"),
+    json_: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="As the README's table.")] = False,
+) -> None:
+    """Show the claims checked so far, from the results of the last runs."""
+    records = [json.loads(path.read_text()) for path in sorted(out.glob("*.json"))]
+    found = [framework.Claim(**claim) for record in records for claim in record.get("claims", [])]
+    if not found:
+        raise ValueError(f"no results in {out}; run `python -m experiments run --all` first")
+    if json_:
+        print(json.dumps([vars(claim) for claim in found], indent=2))
+    elif markdown:
+        print("| claim | source | verdict | measured | held to |\n| --- | --- | --- | --- | --- |")
+        for c in found:
+            print(f"| {c.statement} | {c.source} | **{c.verdict}** | {c.number} | {c.tolerance} |")
+    else:
+        _print_claims(found)
+
+
+@app.command()
+def bench(
+    rounds: Annotated[int, typer.Option(help="Alternating rounds; medians are printed.")] = 7,
+    json_: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Time the 1D multiplexed step on one pinned core against a hand-written C loop, in one run."""
+    from experiments.support.bench import measure
+
+    result = measure(rounds)
+    if json_:
+        print(json.dumps(result, indent=2))
+        return
+    for name, value in result.items():
+        console.print(f"{name:>28}  {value:.3g}" if isinstance(value, float) else f"{name:>28}  {value}", highlight=False)
+
+
+def _print_claims(found: list[framework.Claim]) -> None:
+    for c in found:
+        colour = "green" if c.as_expected else "red"
+        console.print(f"[{colour}]{c.verdict:>6}[/]  [bold]{c.id}[/]: {c.statement} [dim]({c.source})[/]", highlight=False)
+        console.print(f"        {c.number}; {c.tolerance}", highlight=False)
+
+
+def main() -> None:
+    """The command line: what a user got wrong is one line and exit code 2."""
+    # Compiled code is kept between runs, here and not in the library: a program's settings are the program's.
+    jax.config.update("jax_compilation_cache_dir", str(framework.CACHE))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    try:
+        app(standalone_mode=True)
+    except ValueError as error:
+        errors.print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

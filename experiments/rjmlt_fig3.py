@@ -1,0 +1,244 @@
+"""Bitterli et al. 2017, section 7.1 and figure 3: five integrators on the line, two of them wrong."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import emcee
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from rich.table import Table
+
+import mcmc1d
+from experiments.support.framework import Claim, Progress
+from mcmc1d.moves import AimedJump, Mixture, Move, ReversibleJump, SmallStep, TechniqueChange
+from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Technique, Tent
+from mcmc1d.techniques import Mixture as MixtureTechnique
+from mcmc1d.verify.goodness import cdf_gap, p_value, smallest_gap, total_variation
+from mcmc1d.verify.mutants.jumps import no_jacobian
+from mcmc1d.verify.mutants.mixtures import FixedPointInverse
+
+SOURCE = "Bitterli et al. 2017"
+
+
+@dataclass(frozen=True)
+class Config:
+    """The experiment's numbers; those of the paper where it gives them, else ours."""
+
+    amplitude: float = 0.9
+    """Of the target 1 + amplitude sin(4 pi x)."""
+    sigma: float = 0.05
+    """Standard deviation of the small step; there is no large step, which would mask a wrong jump."""
+    jump: float = 0.5
+    """Probability that a step is a technique change or a jump."""
+    bins: int = 50
+    replicas: int = 2**17
+    """Independent chains whose last states are tested, each started exactly from the target."""
+    replica_steps: int = 128
+    chains: int = 2**14
+    """Chains of the histograms, which go on from the replicas' last states."""
+    steps: int = 1024
+    blocks: int = 32
+    """Independent groups of chains: the standard errors are their spread."""
+    trace_chains: int = 64
+    trace_steps: int = 2048
+    level: float = 1e-6
+    """Probability that a right integrator is rejected by one test; there are two an integrator."""
+
+
+PROFILES = {"quick": Config(), "paper": Config(replicas=2**20, replica_steps=256, chains=2**16, steps=8192)}
+
+TECHNIQUES = ("tent", "step", "mixture")
+KINDS = ("small step", "jump")
+RIGHT = {"multiplexed": True, "no Jacobian": False, "fixed point": False, "full": True, "full, aimed": True}
+
+
+def integrators(config: Config) -> dict[str, tuple[mcmc1d.Multiplexed, Move]]:
+    """Each integrator's name, density and move; the wrong ones are mutants of the right one's parts."""
+    mixture = MixtureTechnique((RaisedSinusoid(0.9), Ramp(2.0)), (0.3, 0.7))
+    right, wrong = (_target(config, technique) for technique in (mixture, FixedPointInverse(mixture)))
+    jumps: dict[str, tuple[mcmc1d.Multiplexed, Move]] = {
+        "multiplexed": (right, TechniqueChange()),
+        "no Jacobian": (right, no_jacobian(ReversibleJump())),
+        "fixed point": (wrong, ReversibleJump()),
+        "full": (right, ReversibleJump()),
+        "full, aimed": (right, AimedJump()),
+    }
+    small = SmallStep(config.sigma)
+    return {
+        name: (target, Mixture({KINDS[0]: (1 - config.jump, small), KINDS[1]: (config.jump, jump)}))
+        for name, (target, jump) in jumps.items()
+    }
+
+
+def _target(config: Config, mixture: Technique) -> mcmc1d.Multiplexed:
+    sinusoid = mcmc1d.targets.Sinusoid(config.amplitude, 2.0)
+    return mcmc1d.Multiplexed(sinusoid, (Tent(), PiecewiseConstant([0, 0.5, 1], [1.6, 0.4]), mixture))
+
+
+def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+    """Every integrator: replicas tested after `replica_steps`, then histograms, acceptance and autocorrelation."""
+    edges = np.linspace(0, 1, config.bins + 1)
+    results = []
+    for k, (name, (target, move)) in enumerate(integrators(config).items()):
+        key = jax.random.fold_in(jax.random.key(seed), k)
+        results.append(_measure(config, name, target, move, edges, key, partial(progress, name)))
+    data = xr.concat(results, "integrator").assign_coords(integrator=list(RIGHT))
+    exact = _target(config, MixtureTechnique((RaisedSinusoid(0.9), Ramp(2.0)), (0.3, 0.7))).joint_masses(edges)
+    return data.assign(
+        exact=(("technique", "bin"), exact),
+        right=("integrator", list(RIGHT.values())),
+        detectable_gap=smallest_gap(config.replicas, config.level),
+        level=config.level,
+    ).assign_coords(technique=list(TECHNIQUES), kind=list(KINDS), bin=(edges[1:] + edges[:-1]) / 2)
+
+
+def _measure(
+    config: Config, name: str, target: mcmc1d.Multiplexed, move: Move, edges: np.ndarray, key: jax.Array, progress
+) -> xr.Dataset:
+    first, second, third = jax.random.split(key, 3)
+    exact = target.joint_masses(edges)
+    work = config.replicas * config.replica_steps, config.chains * config.steps
+
+    # Independent chains, exact starts: a p-value without burn-in and without autocorrelation.
+    replicas = mcmc1d.run(
+        first,
+        move,
+        target,
+        steps=config.replica_steps,
+        chains=config.replicas,
+        blocks=config.blocks,
+        progress=lambda done, _: progress(done, sum(work)),
+    )
+    x = jax.vmap(target.evaluate)(replicas.state).eval.x
+    bins = np.clip(np.searchsorted(edges, np.asarray(x), side="right") - 1, 0, config.bins - 1)
+    counts = np.zeros(exact.shape)
+    np.add.at(counts, (np.asarray(replicas.state.index), bins), 1)
+
+    # The histograms go on from there, so that a wrong integrator has left the target's law behind.
+    start = jax.tree.map(lambda leaf: leaf[: config.chains], replicas.state)
+    estimators = {"joint": mcmc1d.Histogram(config.bins, joint=True), "acceptance": mcmc1d.Acceptance()}
+    long = mcmc1d.run(
+        second,
+        move,
+        target,
+        steps=config.steps,
+        chains=config.chains,
+        blocks=config.blocks,
+        estimators=estimators,
+        start=start,
+        progress=lambda done, _: progress(work[0] + done, sum(work)),
+    )
+    joint = long.mean("joint")
+    per_block = long.sums["joint"].sum(1) * config.blocks / (config.chains * config.steps)
+
+    chains = mcmc1d.trace(third, move, target, steps=config.trace_steps, chains=config.trace_chains)
+    time = emcee.autocorr.integrated_time(chains.x[:, :, None], quiet=True)
+    acceptance = long.acceptance()
+    return xr.Dataset(
+        {
+            "joint": (("technique", "bin"), joint),
+            "error_x": ("bin", per_block.std(0, ddof=1) / np.sqrt(config.blocks)),
+            "error_joint": (("technique", "bin"), long.standard_error("joint")),
+            "total_variation_x": total_variation(joint.sum(0), exact.sum(0)),
+            "total_variation": total_variation(joint, exact),
+            "p_x": p_value(counts.sum(0), exact.sum(0)),
+            "p_joint": p_value(counts, exact),
+            "gap": max(cdf_gap(counts.sum(0), exact.sum(0)), cdf_gap(counts, exact)),
+            "acceptance": ("kind", [acceptance[kind] for kind in KINDS]),
+            "autocorrelation_time": float(time[0]),
+        }
+    )
+
+
+def draw(data: xr.Dataset) -> Figure:
+    """The paper's two rows and a third: state histogram, technique shares, error in standard errors."""
+    figure, axes = plt.subplots(
+        3, data.sizes["integrator"], figsize=(3.5, 2.7), sharex=True, sharey="row", gridspec_kw={"height_ratios": (3, 3, 2)}
+    )
+    x, width = data.bin.to_numpy(), 1 / data.sizes["bin"]
+    exact = data.exact.to_numpy()
+    for k, (name, column) in enumerate(zip(data.integrator.to_numpy(), axes.T, strict=True)):
+        here = data.isel(integrator=k)
+        joint, right = here.joint.to_numpy(), bool(here.right)
+        column[0].set_title(f"({'abcde'[k]}) {name}\n{'right' if right else 'wrong'}", color="black" if right else "C1")
+        column[0].bar(x, joint.sum(0) / width, width, color="C0" if right else "C1", alpha=0.5, linewidth=0)
+        column[0].plot(x, exact.sum(0) / width, color="black", linewidth=0.8)
+        for t, technique in enumerate(TECHNIQUES):
+            column[1].plot(x, joint[t] / joint.sum(0), color=f"C{(0, 4, 2)[t]}", label=technique, linewidth=1.2)
+            column[1].plot(x, exact[t] / exact.sum(0), color="black", linewidth=0.6, linestyle=(0, (2, 1.5)))
+        column[2].axhspan(-3, 3, color="0.9", linewidth=0)
+        z = (joint.sum(0) - exact.sum(0)) / here.error_x.to_numpy()
+        column[2].plot(x, z, ".", markersize=2, color="C0" if right else "C1")
+        column[2].set_yscale("symlog", linthresh=5, linscale=1.5)
+        column[2].set_xticks([0, 0.5, 1], ["0", "½", "1"])
+        column[2].set_xlabel("x")
+    axes[0, 0].set_ylabel("density")
+    axes[1, 0].set_ylabel("technique share")
+    axes[2, 0].set_ylabel("error / s.e.")
+    axes[1, 0].set_ylim(0, 1)
+    axes[2, 0].set_yticks([-50, -3, 0, 3, 50], ["−50", "−3", "0", "3", "50"])
+    axes[2, 0].minorticks_off()
+    handles, labels = axes[1, 0].get_legend_handles_labels()
+    handles.append(plt.Line2D([], [], color="black", linewidth=0.8, linestyle=(0, (2, 1.5))))
+    figure.legend(handles, [*labels, "exact"], loc="outside lower center", ncols=4)
+    return figure
+
+
+def table(data: xr.Dataset) -> Table:
+    """Each integrator's distance from the exact law, p-values, acceptance rates and autocorrelation time."""
+    result = Table(
+        "integrator", "TV x", "TV (i, x)", "p x", "p (i, x)", "accept small", "accept jump", "IAT", "law", title="rjmlt_fig3"
+    )
+    for k, name in enumerate(data.integrator.to_numpy()):
+        here = data.isel(integrator=k)
+        result.add_row(
+            str(name),
+            f"{float(here.total_variation_x):.4f}",
+            f"{float(here.total_variation):.4f}",
+            f"{float(here.p_x):.2g}",
+            f"{float(here.p_joint):.2g}",
+            *(f"{float(rate):.4f}" for rate in here.acceptance),
+            f"{float(here.autocorrelation_time):.0f}",
+            "accepted" if _accepted(here) else "rejected",
+        )
+    return result
+
+
+def judge(data: xr.Dataset) -> list[Claim]:
+    """The right integrators must be accepted and the wrong ones rejected."""
+    gap = float(data.detectable_gap)
+    held = f"level {float(data.level):.0e} a test; detects a CDF gap of {gap:.4f} with probability 0.99"
+    statements = {
+        "multiplexed": ("Multiplexed MLT samples f and uses each technique by its MIS weight", "sec. 7.1, fig. 3a"),
+        "no Jacobian": ("A reversible jump without its Jacobian has a wrong law", "sec. 7.1, fig. 3b"),
+        "fixed point": ("An inverse that returns a fixed point of an interval has a wrong law", "sec. 7.1, fig. 3c"),
+        "full": ("Reversible jumps with Jacobian and parametrised inverses keep the law", "eq. 19, fig. 3d"),
+        "full, aimed": ("A jump aimed by the MIS weights keeps the law", "sec. 4, eq. 14"),
+    }
+    claims = []
+    for k, (name, (statement, where)) in enumerate(statements.items()):
+        here = data.isel(integrator=k)
+        number = f"TV {float(here.total_variation):.4f}, p {min(float(here.p_x), float(here.p_joint)):.2g}"
+        verdict = "holds" if _accepted(here) == RIGHT[name] else "fails"
+        claim = f"rjmlt.{name.replace(', ', '-').replace(' ', '-').lower()}"
+        claims.append(Claim(claim, statement, f"{SOURCE}, {where}", verdict, "holds", number, held))
+    rate = float(data.acceptance.sel(integrator="full, aimed", kind=KINDS[1]))
+    claims.append(
+        Claim(
+            "rjmlt.aimed-accepts",
+            "A jump aimed by the MIS weights is always accepted",
+            f"{SOURCE}, sec. 4, eq. 14",
+            "holds" if rate > 1 - 1e-5 else "fails",
+            "holds",
+            f"acceptance rate {rate:.7f}",
+            "1e-5, the rounding of float32",
+        )
+    )
+    return claims
+
+
+def _accepted(here: xr.Dataset) -> bool:
+    return min(float(here.p_x), float(here.p_joint)) >= float(here.level)

@@ -1,0 +1,1 @@
+"""What the experiments share; not an experiment itself."""

@@ -1,0 +1,188 @@
+"""What all experiments share: finding them, configuring them, and writing what they find, whole or not at all."""
+
+import dataclasses
+import importlib
+import json
+import os
+import pkgutil
+import platform
+import subprocess
+import tempfile
+import typing
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
+
+import matplotlib
+import xarray as xr
+from matplotlib.figure import Figure
+from rich.table import Table
+
+import experiments
+from mcmc1d.numerics import require
+
+PACKAGES = ("mcmc1d", "jax", "jaxlib", "equinox", "numpy", "scipy", "matplotlib", "emcee", "xarray")
+CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "mcmc1d" / "jax"
+STYLE = Path(__file__).with_name("paper.mplstyle")
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """A claim of a paper, and what was found."""
+
+    id: str
+    statement: str
+    source: str
+    """The paper and the equation, section or figure."""
+    verdict: str
+    """"holds", "holds if ..." or "fails"."""
+    expected: str
+    """The verdict that theory predicts; a run whose verdicts differ has failed."""
+    number: str
+    """What was measured, with its unit."""
+    tolerance: str
+    """What it was held to: the level of the test and the smallest error that it would have caught."""
+
+    @property
+    def as_expected(self) -> bool:
+        """Whether theory and finding agree."""
+        return self.verdict == self.expected
+
+
+Progress = Callable[[str, int, int], None]
+"""Called with a stage's name, the work done in it and the work in all."""
+
+
+class Experiment(Protocol):
+    """The module of an experiment."""
+
+    Config: type
+    PROFILES: Mapping[str, Any]
+
+    def run(self, config: Any, seed: int, progress: Progress) -> xr.Dataset:
+        """Do the experiment: numbers only, from the configuration and the seed only."""
+        ...
+
+    def draw(self, data: xr.Dataset) -> Figure:
+        """The figure, from the data alone."""
+        ...
+
+    def table(self, data: xr.Dataset) -> Table:
+        """The table beside the figure."""
+        ...
+
+    def judge(self, data: xr.Dataset) -> list[Claim]:
+        """The claims and their verdicts, from the data alone."""
+        ...
+
+
+def names() -> list[str]:
+    """Every experiment: the modules that stand in the folder `experiments` itself."""
+    found = pkgutil.iter_modules(experiments.__path__)
+    return sorted(module.name for module in found if not module.ispkg and not module.name.startswith("_"))
+
+
+def load(name: str) -> ModuleType:
+    """The module of an experiment; `ValueError` lists the known ones."""
+    require(name in names(), f"there is no experiment {name!r}; known: {', '.join(names())}")
+    return importlib.import_module(f"experiments.{name}")
+
+
+def configure(experiment: Any, profile: str, overrides: list[str]) -> Any:
+    """The profile's configuration with each `name=value` of the overrides in place.
+
+    Values are read as the field's type. Raises `ValueError` for an unknown profile or field (naming the known ones)
+    and for a value that does not fit.
+    """
+    profiles = experiment.PROFILES
+    require(profile in profiles, f"there is no profile {profile!r}; known: {', '.join(profiles)}")
+    config = profiles[profile]
+    types = typing.get_type_hints(type(config))
+    changes: dict[str, Any] = {}
+    for override in overrides:
+        name, sign, text = override.partition("=")
+        require(sign == "=", f"--set takes name=value, not {override!r}")
+        require(name in types, f"the configuration has no field {name!r}; known: {', '.join(types)}")
+        try:
+            changes[name] = _read(types[name], text)
+        except ValueError:
+            raise ValueError(f"--set {name}: {text!r} is not {types[name].__name__}") from None
+    return dataclasses.replace(config, **changes)
+
+
+def _read(kind: type, text: str) -> Any:
+    if kind is bool:
+        if text.lower() not in ("true", "false"):
+            raise ValueError(text)
+        return text.lower() == "true"
+    return kind(text)
+
+
+def manifest(name: str, profile: str, config: Any, seed: int, claims: list[Claim]) -> dict[str, Any]:
+    """All that it takes to get the same numbers again, and what they said."""
+    return {
+        "experiment": name,
+        "profile": profile,
+        "config": dataclasses.asdict(config),
+        "seed": seed,
+        "versions": {"python": platform.python_version(), **{package: version(package) for package in PACKAGES}},
+        "commit": _commit(),
+        "claims": [dataclasses.asdict(claim) for claim in claims],
+    }
+
+
+def write(out: Path, name: str, data: xr.Dataset, figure: Figure, record: Mapping[str, Any]) -> list[Path]:
+    """NAME.png, .pdf, .nc and .json in `out`, made under other names and renamed once all are whole."""
+    attributes = {key: value if isinstance(value, str | int) else json.dumps(value) for key, value in record.items()}
+    # Beside `out`, so that a rename stays on one file system; the leading dot keeps a half-made one out of sight.
+    with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=out) as folder:
+        made = [Path(folder) / f"{name}{suffix}" for suffix in (".png", ".pdf", ".nc", ".json")]
+        # No dates inside: the same numbers give the same files.
+        figure.savefig(made[0], metadata={"Software": None})
+        figure.savefig(made[1], metadata={"CreationDate": None})
+        data.assign_attrs(attributes).to_netcdf(made[2], engine="h5netcdf")
+        made[3].write_text(json.dumps(record, indent=2) + "\n")
+        return [path.replace(out / path.name) for path in made]
+
+
+def require_writable(out: Path) -> None:
+    """Make the output directory, or raise `ValueError` that says why not."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=out, prefix=".probe-"):
+            pass
+    except OSError as error:
+        raise ValueError(f"can not write to {out}: {error.strerror}; name another with --out") from None
+
+
+def style() -> None:
+    """The one style of all figures."""
+    matplotlib.use("Agg")
+    matplotlib.style.use(STYLE)
+
+
+def _commit() -> str:
+    """The git commit of this checkout, "+" after it if files differ from it; "unknown" outside one."""
+    git = ["git", "-C", str(Path(__file__).parent)]
+    try:
+        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
+        changed = ["diff", "--quiet", "HEAD", "--", ":!figures"]
+        return head + ("+" if subprocess.run([*git, *changed], check=False, capture_output=True).returncode else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+__all__ = [
+    "Claim",
+    "Experiment",
+    "Progress",
+    "configure",
+    "load",
+    "manifest",
+    "names",
+    "require_writable",
+    "style",
+    "write",
+]
