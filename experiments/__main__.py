@@ -61,7 +61,9 @@ def run(
         paths = framework.write(out, name, data, module.draw(data), record)
         console.print(module.table(data))
         _print_claims(claims)
-        console.print(f"{name}, seed {seed}: " + ", ".join(str(path) for path in paths), highlight=False, soft_wrap=True)
+        console.print(
+            f"{name}, seed {seed}: " + ", ".join(str(path) for path in paths), highlight=False, soft_wrap=True
+        )
         surprises += [claim for claim in claims if not claim.as_expected]
     for claim in surprises:
         errors.print(f"[red]{claim.id}: {claim.verdict}, where theory says {claim.expected}: {claim.number}[/]")
@@ -103,13 +105,17 @@ def bench(
         print(json.dumps(result, indent=2))
         return
     for name, value in result.items():
-        console.print(f"{name:>28}  {value:.3g}" if isinstance(value, float) else f"{name:>28}  {value}", highlight=False)
+        console.print(
+            f"{name:>28}  {value:.3g}" if isinstance(value, float) else f"{name:>28}  {value}", highlight=False
+        )
 
 
 def _print_claims(found: list[framework.Claim]) -> None:
     for c in found:
         colour = "green" if c.as_expected else "red"
-        console.print(f"[{colour}]{c.verdict:>6}[/]  [bold]{c.id}[/]: {c.statement} [dim]({c.source})[/]", highlight=False)
+        console.print(
+            f"[{colour}]{c.verdict:>6}[/]  [bold]{c.id}[/]: {c.statement} [dim]({c.source})[/]", highlight=False
+        )
         console.print(f"        {c.number}; {c.tolerance}", highlight=False)
 
 

@@ -9,13 +9,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim, Progress
 from mcmc1d.moves import AimedJump, Mixture, Move, ReversibleJump, SmallStep, TechniqueChange
-from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Technique, Tent
 from mcmc1d.techniques import Mixture as MixtureTechnique
+from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Technique, Tent
 from mcmc1d.verify.goodness import cdf_gap, p_value, smallest_gap, total_variation
 from mcmc1d.verify.mutants.jumps import no_jacobian
 from mcmc1d.verify.mutants.mixtures import FixedPointInverse
@@ -112,7 +113,7 @@ def _measure(
         blocks=config.blocks,
         progress=lambda done, _: progress(done, sum(work)),
     )
-    x = jax.vmap(target.evaluate)(replicas.state).eval.x
+    x = jax.vmap(target.evaluate)(replicas.state).seen.x
     bins = np.clip(np.searchsorted(edges, np.asarray(x), side="right") - 1, 0, config.bins - 1)
     counts = np.zeros(exact.shape)
     np.add.at(counts, (np.asarray(replicas.state.index), bins), 1)
@@ -156,18 +157,24 @@ def _measure(
 def draw(data: xr.Dataset) -> Figure:
     """The paper's two rows and a third: state histogram, technique shares, error in standard errors."""
     figure, axes = plt.subplots(
-        3, data.sizes["integrator"], figsize=(3.5, 2.7), sharex=True, sharey="row", gridspec_kw={"height_ratios": (3, 3, 2)}
+        3,
+        data.sizes["integrator"],
+        figsize=(3.5, 3.0),
+        sharex=True,
+        sharey="row",
+        gridspec_kw={"height_ratios": (3, 3, 2)},
     )
     x, width = data.bin.to_numpy(), 1 / data.sizes["bin"]
     exact = data.exact.to_numpy()
     for k, (name, column) in enumerate(zip(data.integrator.to_numpy(), axes.T, strict=True)):
         here = data.isel(integrator=k)
         joint, right = here.joint.to_numpy(), bool(here.right)
-        column[0].set_title(f"({'abcde'[k]}) {name}\n{'right' if right else 'wrong'}", color="black" if right else "C1")
+        title = f"({'abcde'[k]})\n{name}\n{'right' if right else 'wrong'}"
+        column[0].set_title(title, color="black" if right else "C1", fontsize=6)
         column[0].bar(x, joint.sum(0) / width, width, color="C0" if right else "C1", alpha=0.5, linewidth=0)
         column[0].plot(x, exact.sum(0) / width, color="black", linewidth=0.8)
         for t, technique in enumerate(TECHNIQUES):
-            column[1].plot(x, joint[t] / joint.sum(0), color=f"C{(0, 4, 2)[t]}", label=technique, linewidth=1.2)
+            column[1].plot(x, joint[t] / joint.sum(0), color=f"C{(0, 4, 2)[t]}", label=technique, linewidth=1.0)
             column[1].plot(x, exact[t] / exact.sum(0), color="black", linewidth=0.6, linestyle=(0, (2, 1.5)))
         column[2].axhspan(-3, 3, color="0.9", linewidth=0)
         z = (joint.sum(0) - exact.sum(0)) / here.error_x.to_numpy()
@@ -176,13 +183,14 @@ def draw(data: xr.Dataset) -> Figure:
         column[2].set_xticks([0, 0.5, 1], ["0", "½", "1"])
         column[2].set_xlabel("x")
     axes[0, 0].set_ylabel("density")
-    axes[1, 0].set_ylabel("technique share")
+    axes[1, 0].set_ylabel("share")
     axes[2, 0].set_ylabel("error / s.e.")
     axes[1, 0].set_ylim(0, 1)
-    axes[2, 0].set_yticks([-50, -3, 0, 3, 50], ["−50", "−3", "0", "3", "50"])
+    axes[2, 0].set_yticks([-50, -3, 3, 50], ["−50", "−3", "3", "50"])
     axes[2, 0].minorticks_off()
+    figure.align_ylabels()
     handles, labels = axes[1, 0].get_legend_handles_labels()
-    handles.append(plt.Line2D([], [], color="black", linewidth=0.8, linestyle=(0, (2, 1.5))))
+    handles.append(Line2D([], [], color="black", linewidth=0.8, linestyle=(0, (2, 1.5))))
     figure.legend(handles, [*labels, "exact"], loc="outside lower center", ncols=4)
     return figure
 
@@ -190,7 +198,16 @@ def draw(data: xr.Dataset) -> Figure:
 def table(data: xr.Dataset) -> Table:
     """Each integrator's distance from the exact law, p-values, acceptance rates and autocorrelation time."""
     result = Table(
-        "integrator", "TV x", "TV (i, x)", "p x", "p (i, x)", "accept small", "accept jump", "IAT", "law", title="rjmlt_fig3"
+        "integrator",
+        "TV x",
+        "TV (i, x)",
+        "p x",
+        "p (i, x)",
+        "accept small",
+        "accept jump",
+        "IAT",
+        "law",
+        title="rjmlt_fig3",
     )
     for k, name in enumerate(data.integrator.to_numpy()):
         here = data.isel(integrator=k)

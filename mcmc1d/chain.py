@@ -14,18 +14,15 @@ import numpy as np
 from mcmc1d.estimators import Estimator
 from mcmc1d.metropolis import Kernel, Metropolis, Step
 from mcmc1d.moves import Move
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast, jit_with, require
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Float, Int, Key, Scalar
+from mcmc1d.types import Array, Float, Index, Int, Key
 
 # A float32 sum is exact up to 2**24 unit weights; a drain well before that also keeps the rounding of fractional
 # weights far below the sampling error.
 _DEPOSITS_PER_DRAIN = 2**22
 _STEPS_PER_DRAIN = 2**16  # so that a single chain, too, reports its progress
-
-# XLA's default is half the width of a CPU's vectors where it has AVX-512; without it, and on a GPU, this is ignored.
-_COMPILER_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
 class Normalisation(NamedTuple):
@@ -67,7 +64,7 @@ class Run(eqx.Module):
         return dict(zip(self.kinds, rates.tolist(), strict=True))
 
 
-class Trace(NamedTuple):
+class Trace(eqx.Module):
     """Kept chains: x of shape (steps, chains, ...) and the technique's index, (steps, chains)."""
 
     x: np.ndarray
@@ -102,7 +99,7 @@ def run(
 
     Raises `ValueError` where the kernel or an estimator does not fit the target.
     """
-    kernel = Metropolis(kernel) if isinstance(kernel, Move) else kernel
+    kernel = _as_kernel(kernel)
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     require(steps >= 1, f"run: steps must be at least 1, not {steps}")
     require(
@@ -110,27 +107,30 @@ def run(
         f"run: {chains} chains can not be dealt into {blocks} equal blocks",
     )
     kernel.check(target)
-    estimators = {} if estimators is None else dict(estimators)
+    asked = {} if estimators is None else dict(estimators)
     start_key, step_key = jax.random.split(key)
     if start is None:
         start = exact_start(start_key, target, chains, dtype)
-    require(start.u.shape == (chains, target.dim_u), f"run: start.u must be {(chains, target.dim_u)}, not {start.u.shape}")
-    target, kernel, estimators = (cast(thing, dtype) for thing in (target, kernel, estimators))
+    require(
+        start.u.shape == (chains, target.dim_u), f"run: start.u must be {(chains, target.dim_u)}, not {start.u.shape}"
+    )
+    target, kernel, asked = cast(target, dtype), cast(kernel, dtype), cast(asked, dtype)
+    index, u = jnp.asarray(start.index, jnp.int32), jnp.asarray(start.u, dtype)
     size = chains // blocks
-    zeros = {name: estimator.init(target, kernel, dtype) for name, estimator in estimators.items()}
+    zeros = {name: estimator.init(target, kernel, dtype) for name, estimator in asked.items()}
     per_drain = max(1, min(_STEPS_PER_DRAIN, _DEPOSITS_PER_DRAIN // size))
     done = 0
 
     def run_block(block: int) -> tuple[State, Any]:
         nonlocal done
         own = slice(block * size, (block + 1) * size)
-        state = State(jnp.asarray(start.index[own], jnp.int32), jnp.asarray(start.u[own], dtype))
+        state = State(index[own], u[own])
         block_key = jax.random.fold_in(step_key, block)
         totals = jax.tree.map(lambda z: np.zeros(z.shape), zeros)
         for first in range(0, steps, per_drain):
             count = min(per_drain, steps - first)
             state, sums = _advance(
-                block_key, kernel, target, estimators, state, zeros, jnp.asarray(first), jnp.asarray(count)
+                block_key, kernel, target, asked, state, zeros, jnp.asarray(first), jnp.asarray(count)
             )
             totals = jax.tree.map(lambda t, s: t + np.asarray(s, np.float64), totals, sums)
             done += size * count
@@ -156,7 +156,7 @@ def trace(
     key: Key, kernel: Kernel | Move, target: Multiplexed, *, steps: int, chains: int, start: State | None = None
 ) -> Trace:
     """Run chains and keep every state; for integrated autocorrelation times and pictures. Arguments as `run`."""
-    kernel = Metropolis(kernel) if isinstance(kernel, Move) else kernel
+    kernel = _as_kernel(kernel)
     kernel.check(target)
     dtype = jnp.zeros(()).dtype
     start_key, step_key = jax.random.split(key)
@@ -167,7 +167,7 @@ def trace(
 
 
 def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normalisation:
-    """b by independent samples: the number of techniques times the mean of C_i(u) at uniform i and u.
+    """B by independent samples: the number of techniques times the mean of C_i(u) at uniform i and u.
 
     Hachisuka et al. 2014, section 4: the factor is the number of techniques of the chain, all of them.
     """
@@ -193,7 +193,9 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) ->
     target = cast(target, dtype)
     probe_key, key = jax.random.split(key)
     bound = 1.25 * float(np.max(_draw(probe_key, target, 2**16, dtype)[1]))
-    require(bound > 0, f"{type(target.target).__name__}: the density is zero at all of 65536 probes; nothing to start from")
+    require(
+        bound > 0, f"{type(target.target).__name__}: the density is zero at all of 65536 probes; nothing to start from"
+    )
     batch = int(np.clip(2 * count, 1024, 2**18))
     kept: list[State] = []
     found, attempt = 0, 0
@@ -205,9 +207,13 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) ->
             bound, kept, found = 1.25 * float(density.max()), [], 0
             continue
         chosen = np.flatnonzero(np.asarray(uniform) * bound < density)
-        kept.append(State(np.asarray(state.index)[chosen], np.asarray(state.u)[chosen]))
+        kept.append(jax.tree.map(lambda leaf, chosen=chosen: np.asarray(leaf)[chosen], state))
         found += chosen.size
     return jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)[:count]), *kept)
+
+
+def _as_kernel(kernel: Kernel | Move) -> Kernel:
+    return Metropolis(kernel) if isinstance(kernel, Move) else kernel
 
 
 @eqx.filter_jit
@@ -218,11 +224,12 @@ def _draw(
     numbers = uniforms(key, 0, (target.dim_u + 2, count), dtype)
     index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
     state = State(index, numbers[2:].T)
-    density = jax.vmap(lambda s: jnp.exp(target.evaluate(s).eval.log_c))(state)
+    density = jax.vmap(lambda s: jnp.exp(target.evaluate(s).seen.log_c))(state)
     return state, density, numbers[1]
 
 
-@partial(eqx.filter_jit, compiler_options=_COMPILER_OPTIONS)
+# XLA's default is half the width of a CPU's vectors where it has AVX-512; without it, and on a GPU, this is ignored.
+@jit_with(xla_cpu_prefer_vector_width=512)
 def _advance(
     key: Key,
     kernel: Kernel,
@@ -247,12 +254,12 @@ def _advance(
 
 
 @eqx.filter_jit
-def _record(key: Key, kernel: Kernel, target: Multiplexed, start: State, steps: int) -> tuple[Array, Array]:
-    """x and the index of every chain after every step."""
+def _record(key: Key, kernel: Kernel, target: Multiplexed, start: State, steps: int) -> tuple[Array, Index]:
+    """X and the index of every chain after every step."""
 
-    def body(state: State, k: Array) -> tuple[State, tuple[Array, Array]]:
+    def body(state: State, k: Array) -> tuple[State, tuple[Array, Index]]:
         state = _step(key, kernel, target, k, state).state
-        return state, (state.eval.x, state.index)
+        return state, (state.seen.x, state.index)
 
     evaluated = jax.vmap(target.evaluate, out_axes=-1)(start)
     return jax.lax.scan(body, evaluated, jnp.arange(steps))[1]

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import require
@@ -45,7 +45,7 @@ class Histogram(Estimator):
     def __init__(self, bins: int | ArrayLike = 100, *, joint: bool = False, domain: tuple[float, float] = (0.0, 1.0)):
         """`bins`: how many equal ones over the `domain`, or their rising edges; `joint`: by technique as well."""
         self.regular = isinstance(bins, int)
-        if self.regular:
+        if isinstance(bins, int):
             require(bins >= 1, f"Histogram: bins must be at least 1, not {bins}")
             self.edges = np.linspace(*domain, bins + 1)
         else:

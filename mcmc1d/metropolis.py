@@ -132,7 +132,7 @@ def acceptance(state: State, proposal: Proposal) -> Scalar:
     Zero where s' or w' lies outside the unit cube and where the ratio is not a number; a dark state accepts any
     lit one.
     """
-    log_ratio = proposal.state.eval.log_c - state.eval.log_c + proposal.log_det
+    log_ratio = proposal.state.seen.log_c - state.seen.log_c + proposal.log_det
     possible = in_unit_cube(proposal.state.u) & in_unit_cube(proposal.w) & ~jnp.isnan(log_ratio)
     return jnp.exp(jnp.where(possible, jnp.minimum(log_ratio, 0), -jnp.inf))
 
@@ -155,7 +155,7 @@ def accept(
     else:
         points, weight = (after,), jnp.ones((1,), a.dtype)
     deposits = Deposits(
-        jnp.stack([point.eval.x for point in points]), jnp.stack([jnp.asarray(point.index) for point in points]), weight
+        jnp.stack([point.seen.x for point in points]), jnp.stack([jnp.asarray(point.index) for point in points]), weight
     )
     info = Info(jnp.atleast_1d(jnp.asarray(proposal.kind)), a[None], accepted[None])
     return Step(after, deposits, info)

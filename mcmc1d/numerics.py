@@ -1,21 +1,23 @@
 """Small numerical functions that stay exact at the edges of the unit interval, in float32 too."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.scipy.special import ndtri
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 
 from mcmc1d.types import Array, Float, Index, Real, Scalar
 
 T = TypeVar("T")
+F = TypeVar("F", bound=Callable)
 
 
-# --- parameters ------------------------------------------------------------------------------------------------------
+# --- parameters -----------------------------------------------------------------------------------------------------
 
 
 def parameter(value: ArrayLike) -> Real:
@@ -29,7 +31,7 @@ def parameter(value: ArrayLike) -> Real:
 
 def is_concrete(*values: Any) -> bool:
     """Whether none of the values is traced, so that its numbers can be looked at."""
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
 def cast(tree: T, dtype: Any) -> T:
@@ -43,11 +45,21 @@ def cast(tree: T, dtype: Any) -> T:
     return jax.tree.map(convert, tree)
 
 
-# --- the unit interval -----------------------------------------------------------------------------------------------
+def jit_with(**options: Any) -> Callable[[F], F]:
+    """`equinox.filter_jit` with compiler options: arrays are traced, all else is static."""
+
+    def decorate(function: F) -> F:
+        jit: Any = eqx.filter_jit
+        return jit(function, compiler_options=options)
+
+    return decorate
+
+
+# --- the unit interval ----------------------------------------------------------------------------------------------
 
 
 @jax.custom_jvp
-def limit(x: Float[Array, "..."], lower: ArrayLike, upper: ArrayLike) -> Float[Array, "..."]:
+def limit(x: Float[Array, "..."], lower: Any, upper: Any) -> Float[Array, "..."]:
     """`x` limited to [lower, upper], with the derivative of x: a guard against rounding, which is not mathematics."""
     return jnp.where(x < lower, lower, jnp.where(x > upper, upper, x))
 
@@ -76,7 +88,7 @@ def in_unit_cube(u: Float[Array, "..."]) -> Array:
     return jnp.all((u >= 0) & (u < 1))
 
 
-# --- choosing an interval and the place inside it ----------------------------------------------------------------------
+# --- choosing an interval and the place inside it -------------------------------------------------------------------
 
 Ends: TypeAlias = Sequence[Scalar] | Float[Real, " n+1"]
 """The rising ends of n intervals: a table, or a few traced scalars."""
@@ -151,7 +163,7 @@ def width(ends: Ends, k: Index) -> Scalar:
     return entry(ends[1:], k) - entry(ends[:-1], k)
 
 
-# --- elementary functions ----------------------------------------------------------------------------------------------
+# --- elementary functions -------------------------------------------------------------------------------------------
 
 
 def log_sum(terms: Sequence[Scalar]) -> Scalar:
@@ -241,7 +253,7 @@ def normal_quantile(w: Scalar) -> Scalar:
     return jnp.where(t < jnp.inf, p, jnp.inf) * (2 * w - 1) * jnp.float32(np.sqrt(2))
 
 
-# --- one cell of a piecewise linear density ------------------------------------------------------------------------------
+# --- one cell of a piecewise linear density -------------------------------------------------------------------------
 
 
 def linear_quantile(left: Scalar, right: Scalar, place: Scalar) -> Scalar:
@@ -260,7 +272,7 @@ def linear_cdf(left: Scalar, right: Scalar, t: Scalar) -> Scalar:
     return t * (left * (2 - t) + right * t) / (left + right)
 
 
-# --- checks of what a user gives ------------------------------------------------------------------------------------------
+# --- checks of what a user gives ------------------------------------------------------------------------------------
 
 
 def require(condition: bool, message: str) -> None:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -86,12 +87,13 @@ def integrate_box(
             padded = np.pad(x, ((0, -n % 512), (0, 0)), mode="edge")
             return np.asarray(evaluate(jnp.asarray(padded)))[:n]
 
-        result = cubature(values, lower, upper, points=list(breaks), rtol=0, atol=1e-11, max_subdivisions=300)
+        options: dict[str, Any] = {"rtol": 0, "atol": 1e-11, "max_subdivisions": 300}
+        result = cubature(values, lower, upper, points=list(breaks), **options)
     return float(result.estimate), float(result.error)
 
 
 def midpoints(lower: np.ndarray, upper: np.ndarray, count: int) -> np.ndarray:
-    """About `count` midpoints of a regular grid over a box: shape (n,) for scalars, (n, d) for corners of shape (d,)."""
+    """About `count` midpoints of a regular grid over a box: shape (n,), or (n, d) for corners of shape (d,)."""
     lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
     if lower.ndim == 0:
         return lower + (upper - lower) * (np.arange(count) + 0.5) / count

@@ -40,6 +40,13 @@ class State(eqx.Module):
     u: Float[Array, " m"]
     eval: Eval | None = None
 
+    @property
+    def seen(self) -> Eval:
+        """`eval`, of a state that has been evaluated."""
+        if self.eval is None:
+            raise ValueError("this state has not been evaluated; see Multiplexed.evaluate")
+        return self.eval
+
 
 class Multiplexed(eqx.Module):
     """The target f seen through techniques S_i and weights w_i: the density on (i, u) that a chain samples.
@@ -92,7 +99,7 @@ class Multiplexed(eqx.Module):
 
     @property
     def dim_v(self) -> int:
-        """k = m - d, the length of the state's v."""
+        """K = m - d, the length of the state's v."""
         return self.dim_u - int(np.prod(np.shape(self.target.domain[0])))
 
     @property
@@ -100,7 +107,7 @@ class Multiplexed(eqx.Module):
         """Where in x the target, a technique's density or the weights may jump or bend."""
         points = set(self.target.breaks).union(*(technique.breaks for technique in self.techniques))
         points.update(float(end) for t in self.techniques for end in t.support if np.ndim(end) == 0)
-        return tuple(sorted(points.union(getattr(self.weights, "breaks", ()))))
+        return tuple(sorted(points.union(self.weights.breaks)))
 
     def forward(self, index: Index, u: Float[Array, " m"]) -> tuple[Array, Array, Scalar]:
         """(x, v, log|d(x, v)/du|) of technique `index`; what it does not read of u closes its v."""
@@ -129,11 +136,11 @@ class Multiplexed(eqx.Module):
         return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, self.log_c(state.index, x, log_f, log_p)))
 
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
-        """log w_i(x) of every technique."""
+        """Log w_i(x) of every technique."""
         return self.weights.log_weights(x, log_p)
 
     def log_c(self, index: Index, x: Float[Array, "..."], log_f: Scalar, log_p: Sequence[Scalar]) -> Scalar:
-        """log w_i(x) f(x) / p_i(x); -inf where the target, or the technique's share of it, is zero."""
+        """Log w_i(x) f(x) / p_i(x); -inf where the target, or the technique's share of it, is zero."""
         ratio = pick(self.log_weights(x, log_p), index) - pick(log_p, index)
         # -inf - -inf: a sample where its own technique's density is zero to the last bit stands for nothing.
         return jnp.where(jnp.isnan(ratio), -jnp.inf, ratio) + log_f
@@ -162,7 +169,7 @@ class _Shares(eqx.Module):
 
 @eqx.filter_jit
 def _look(target: Multiplexed, points: Float[Array, "n ..."]) -> tuple[Array, Array, Array]:
-    """log f, p and log w at each point."""
+    """Log f, p and log w at each point."""
 
     def at(x: Float[Array, "..."]) -> tuple[Array, Array, Array]:
         log_p = tuple(technique.log_prob(x) for technique in target.techniques)
@@ -182,7 +189,9 @@ def _probe(target: Multiplexed, probes: int) -> None:
         if bad.any():
             raise ValueError(message.format(x=points[np.argmax(bad)]))
 
-    require(log_f.shape == (len(points),), f"{name}.log_f must return one number for one x, not shape {log_f.shape[1:]}")
+    require(
+        log_f.shape == (len(points),), f"{name}.log_f must return one number for one x, not shape {log_f.shape[1:]}"
+    )
     first(np.isnan(log_f), f"{name} is NaN at x = {{x}}: the density is negative or undefined there")
     first(np.isposinf(log_f), f"{name} is infinite at x = {{x}}")
     require(bool(np.any(np.isfinite(log_f))), f"{name} is zero everywhere on its domain: there is nothing to sample")

@@ -16,9 +16,14 @@ class Weights(eqx.Module):
     Without the second condition mass is lost: a technique that never makes x can not stand in for its share of f(x).
     """
 
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Where in x the weights jump or bend beyond what the densities do; quadrature is split there."""
+        return ()
+
     @abc.abstractmethod
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
-        """log w_i(x) for each technique, given the log-densities log p_i(x) of all."""
+        """Log w_i(x) for each technique, given the log-densities log p_i(x) of all."""
 
 
 class Balance(Weights):
@@ -52,13 +57,18 @@ class Maximum(Weights):
 
 
 class FromFunction(Weights):
-    """Any weights: a JAX function of x and of the densities p (shape (n,)) that returns w, of shape (n,).
-
-    `breaks` names the points x where the weights jump or bend, if they do.
-    """
+    """Any weights: a JAX function of x and of the densities p (shape (n,)) that returns w, of shape (n,)."""
 
     function: Callable[[Float[Array, "..."], Float[Array, " n"]], Float[Array, " n"]]
-    breaks: tuple[float, ...] = eqx.field(static=True, default=())
+    kinks: tuple[float, ...] = eqx.field(static=True)
+
+    def __init__(self, function: Callable[[Array, Array], Array], breaks: Sequence[float] = ()):
+        """`function`: (x, p) -> w; `breaks`: the points x where the weights jump or bend, if they do."""
+        self.function, self.kinks = function, tuple(map(float, breaks))
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return self.kinks
 
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
         w = jnp.asarray(self.function(x, jnp.exp(jnp.stack(log_p))))

@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any, Protocol
 
 import matplotlib
+import matplotlib.style
 import xarray as xr
 from matplotlib.figure import Figure
 from rich.table import Table

@@ -5,12 +5,12 @@ from collections.abc import Mapping
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick, require
 from mcmc1d.state import Eval, Multiplexed, State
-from mcmc1d.types import Array, Float, Real
+from mcmc1d.types import Array, Float, Index, Real
 
 
 class Mixture(Move):
@@ -30,7 +30,9 @@ class Mixture(Move):
         self.names = tuple(moves)
         self.moves = tuple(move for _, move in moves.values())
         chances = [probability for probability, _ in moves.values()]
-        self.probabilities = parameter(chances) if is_concrete(chances) else jnp.stack(chances)
+        self.probabilities = (
+            parameter(np.array(chances)) if is_concrete(chances) else jnp.stack([jnp.asarray(p) for p in chances])
+        )
         if is_concrete(self.probabilities):
             p = np.asarray(self.probabilities)
             require(
@@ -59,14 +61,16 @@ class Mixture(Move):
             rests.append(jnp.concatenate([w[:1], proposal.w, w[1 + r :]]))
             evals.append(proposal.state.eval)
         index, u, log_det = pick(points, chosen)
-        return Proposal(State(index, u, _merge(target, State(index, u), evals, chosen)), pick(rests, chosen), log_det, chosen)
+        return Proposal(
+            State(index, u, _merge(target, State(index, u), evals, chosen)), pick(rests, chosen), log_det, chosen
+        )
 
 
-def _merge(target: Multiplexed, state: State, evals: list[Eval | None], chosen: Array) -> Eval | None:
+def _merge(target: Multiplexed, state: State, evals: list[Eval | None], chosen: Index) -> Eval | None:
     """The chosen proposal's evaluation; the moves that have none share a single one."""
     if all(known is None for known in evals):
         return None
-    fresh = target.evaluate(state).eval if any(known is None for known in evals) else None
+    fresh = target.evaluate(state).seen if any(known is None for known in evals) else None
     return pick([fresh if known is None else known for known in evals], chosen)
 
 

@@ -1,7 +1,7 @@
 """Reversible jumps: change the technique and keep the sample (Bitterli et al. 2017)."""
 
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.technique import Proposals
@@ -45,7 +45,7 @@ class AimedJump(Move):
         return 1 + target.dim_v
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
-        log_weights = target.log_weights(state.eval.x, state.eval.log_p)
+        log_weights = target.log_weights(state.seen.x, state.seen.log_p)
         ends = cumulative([jnp.exp(log_w) for log_w in log_weights])
         j, place = choose(ends, w[0])
         back = unchoose(ends, state.index, place)
@@ -54,11 +54,9 @@ class AimedJump(Move):
         return _jump(target, state, j, back, log_t, w[1:])
 
 
-def _jump(
-    target: Multiplexed, state: State, j: Index, back: Scalar, log_t: Scalar, v: Float[Array, " k"]
-) -> Proposal:
+def _jump(target: Multiplexed, state: State, j: Index, back: Scalar, log_t: Scalar, v: Float[Array, " k"]) -> Proposal:
     """The proposal of technique j for the state's x, at fresh v; nothing of f or p is evaluated again."""
-    here = state.eval
+    here = state.seen
     u, log_det = target.inverse(j, here.x, v)
     log_c = target.log_c(j, here.x, here.log_f, here.log_p)
     there = State(j, u, Eval(here.x, v, -log_det, here.log_f, here.log_p, log_c))

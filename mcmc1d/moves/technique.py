@@ -3,9 +3,9 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 
-from mcmc1d.moves.base import Move, Proposal, zero
+from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.primary import ExponentialStep, LargeStep, SmallStep
 from mcmc1d.numerics import choose, cumulative, entry, is_concrete, require, unchoose, width
 from mcmc1d.state import Multiplexed, State
@@ -28,7 +28,9 @@ class Proposals(eqx.Module):
             return
         require(is_concrete(matrix), "the proposal matrix T is a table of numbers and can not be traced")
         t = np.asarray(matrix, np.float64)
-        require(t.ndim == 2 and t.shape[0] == t.shape[1], f"the proposal matrix T must be square, not of shape {t.shape}")
+        require(
+            t.ndim == 2 and t.shape[0] == t.shape[1], f"the proposal matrix T must be square, not of shape {t.shape}"
+        )
         bad = np.flatnonzero((np.abs(t.sum(1) - 1) > 1e-6) | (t < 0).any(1) | ~np.isfinite(t).all(1))
         require(
             bad.size == 0,
@@ -42,9 +44,12 @@ class Proposals(eqx.Module):
         """Raise `ValueError` unless the matrix has a row for each of the target's techniques."""
         n = target.n_techniques
         require(
-            self.ends is None or len(self.ends) == n,
-            f"the proposal matrix T must be {n} x {n} for {n} techniques, not {0 if self.ends is None else len(self.ends)} x",
+            self._size() in (None, n),
+            f"the proposal matrix T must be {n} x {n} for {n} techniques, not {self._size()} x {self._size()}",
         )
+
+    def _size(self) -> int | None:
+        return None if self.ends is None else len(self.ends)
 
     def draw(self, target: Multiplexed, index: Index, number: Scalar) -> tuple[Index, Scalar, Scalar]:
         """(j, the number that leads back from j to `index`, log T_ji / T_ij)."""

@@ -5,10 +5,9 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
 
 from mcmc1d.quadrature import integrate
-from mcmc1d.types import Array, Float, Scalar
+from mcmc1d.types import Array, Corners, Float, Scalar
 
 
 class Target(eqx.Module):
@@ -19,7 +18,7 @@ class Target(eqx.Module):
     """
 
     @property
-    def domain(self) -> tuple[ArrayLike, ArrayLike]:
+    def domain(self) -> Corners:
         """The lower and upper corner of the domain; the unit interval unless redefined."""
         return 0.0, 1.0
 
@@ -30,7 +29,7 @@ class Target(eqx.Module):
 
     @abc.abstractmethod
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
-        """log f(x): one point, -inf where f is zero (outside the domain as well)."""
+        """Log f(x): one point, -inf where f is zero (outside the domain as well)."""
 
     @abc.abstractmethod
     def bin_masses(self, edges: np.ndarray) -> np.ndarray:

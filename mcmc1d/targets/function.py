@@ -1,11 +1,12 @@
 """Any density given as a function."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.numerics import require
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
 
@@ -13,14 +14,25 @@ from mcmc1d.types import Scalar
 class FromFunction(Target):
     """f given as a JAX function of a scalar x in [lower, upper]; bin masses by adaptive quadrature.
 
-    `breaks` names the points where f jumps or bends. A negative or NaN value of f becomes a NaN of `log_f`, which
+    A negative or NaN value of f becomes a NaN of `log_f`, which
     every user of the target reports with its point.
     """
 
     f: Callable[[Scalar], Scalar]
-    lower: float = eqx.field(static=True, default=0.0)
-    upper: float = eqx.field(static=True, default=1.0)
-    breaks: tuple[float, ...] = eqx.field(static=True, default=())
+    lower: float = eqx.field(static=True)
+    upper: float = eqx.field(static=True)
+    kinks: tuple[float, ...] = eqx.field(static=True)
+
+    def __init__(
+        self, f: Callable[[Scalar], Scalar], lower: float = 0.0, upper: float = 1.0, breaks: Sequence[float] = ()
+    ):
+        """`f`: from x to a number that is not negative; `breaks`: where it jumps or bends inside [lower, upper]."""
+        require(lower < upper, f"FromFunction: lower must be under upper, not {lower} and {upper}")
+        self.f, self.lower, self.upper, self.kinks = f, float(lower), float(upper), tuple(map(float, breaks))
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return self.kinks
 
     @property
     def domain(self) -> tuple[float, float]:

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.nn import logsumexp
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from mcmc1d.numerics import is_concrete, parameter, require, require_positive

@@ -2,11 +2,11 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 
 from mcmc1d.numerics import locate, require
 from mcmc1d.targets.base import Target
-from mcmc1d.types import Float, Real, Scalar
+from mcmc1d.types import Corners, Float, Real, Scalar
 
 
 class PiecewiseLinear(Target):
@@ -25,7 +25,7 @@ class PiecewiseLinear(Target):
         _require_density("PiecewiseLinear", self.values, self.knots.shape)
 
     @property
-    def domain(self) -> tuple[ArrayLike, ArrayLike]:
+    def domain(self) -> Corners:
         return self.knots[0], self.knots[-1]
 
     @property
@@ -76,9 +76,7 @@ class Tabulated(Target):
 def _require_density(name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
     require(values.shape == shape, f"{name}: needs {shape[0]} values, not shape {values.shape}")
     bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0)))
-    require(
-        bad.size == 0, f"{name}: a density is finite and not negative; value {bad[:1]} is {values[bad[:1]]}"
-    )
+    require(bad.size == 0, f"{name}: a density is finite and not negative; value {bad[:1]} is {values[bad[:1]]}")
     require(bool(values.any()), f"{name}: the target is zero everywhere")
 
 

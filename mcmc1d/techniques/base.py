@@ -1,15 +1,14 @@
 """What a sampling technique is: a bijection between primary samples and (the sample, what the sample forgets)."""
 
 import abc
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
 
 from mcmc1d.numerics import below_one
-from mcmc1d.types import Array, Float, Scalar
+from mcmc1d.types import Array, Corners, Float, Scalar
 
 Forward: TypeAlias = tuple[Float[Array, "..."], Float[Array, " k"], Scalar]
 Inverse: TypeAlias = tuple[Float[Array, " m"], Scalar]
@@ -27,11 +26,13 @@ class Technique(eqx.Module):
     attribute or a property), `forward`, `inverse` and `log_prob`, and is held to them by `verify.check_technique`.
     """
 
-    dim_u: eqx.AbstractVar[int]
-    """m, how many uniform numbers the technique reads."""
+    @property
+    @abc.abstractmethod
+    def dim_u(self) -> int:
+        """m, how many uniform numbers the technique reads."""
 
     @property
-    def support(self) -> tuple[ArrayLike, ArrayLike]:
+    def support(self) -> Corners:
         """The lower and upper corner of an interval or box that holds every x; the unit interval unless redefined."""
         return 0.0, 1.0
 
@@ -60,7 +61,9 @@ class Inversion(Technique):
     al. 2017, section 6).
     """
 
-    dim_u = 1
+    @property
+    def dim_u(self) -> int:
+        return 1
 
     @abc.abstractmethod
     def quantile(self, u: Scalar) -> Scalar:
@@ -93,6 +96,6 @@ def dim_v(technique: Technique) -> int:
     return eqx.filter_eval_shape(technique.forward, u)[1].shape[0]
 
 
-def within(x: Scalar, log_prob: Scalar, lower: ArrayLike = 0.0, upper: ArrayLike = 1.0) -> Scalar:
+def within(x: Scalar, log_prob: Scalar, lower: Any = 0.0, upper: Any = 1.0) -> Scalar:
     """`log_prob` for x in [lower, upper], -inf outside."""
     return jnp.where((x >= lower) & (x <= upper), log_prob, -jnp.inf)

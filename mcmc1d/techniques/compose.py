@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
 
 from mcmc1d.numerics import below_one, require
 from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
-from mcmc1d.types import Array, Float, Scalar
+from mcmc1d.types import Array, Corners, Float, Scalar
 
 
 class Compose(Technique):
@@ -40,7 +39,7 @@ class Compose(Technique):
         return self.techniques[0].dim_u
 
     @property
-    def support(self) -> tuple[ArrayLike, ArrayLike]:
+    def support(self) -> Corners:
         return self.techniques[-1].support
 
     @property

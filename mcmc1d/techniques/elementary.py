@@ -77,7 +77,6 @@ class Ramp(Inversion):
         return within(x, jnp.log(left * (1 - x) + right * x))
 
 
-
 EXAMPLES = {
     "uniform": Uniform(),
     "tent": Tent(),

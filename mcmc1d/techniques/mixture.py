@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 
 from mcmc1d.numerics import choose, cumulative, is_concrete, log_sum, parameter, pick, require, unchoose
 from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
-from mcmc1d.types import Array, Float, Real, Scalar
+from mcmc1d.types import Array, Corners, Float, Real, Scalar
 
 
 class Mixture(Technique):
@@ -47,7 +47,7 @@ class Mixture(Technique):
         return 1 + max(lobe.dim_u for lobe in self.lobes)
 
     @property
-    def support(self) -> tuple[ArrayLike, ArrayLike]:
+    def support(self) -> Corners:
         lowers, uppers = zip(*(lobe.support for lobe in self.lobes), strict=True)
         return np.min(np.asarray(lowers), axis=0), np.max(np.asarray(uppers), axis=0)
 
@@ -94,11 +94,14 @@ class Mixture(Technique):
         return [jnp.log(self.weights[t]) + lobe.log_prob(x) for t, lobe in enumerate(self.lobes)]
 
     def _posterior(self, x: Float[Array, "..."]) -> tuple[Scalar, list[Scalar]]:
-        """log p(x), and the ends of the lobes' intervals in the posterior; the prior's where the density is zero."""
+        """Log p(x), and the ends of the lobes' intervals in the posterior; the prior's where the density is zero."""
         log_joint = self._log_joint(x)
         log_p = log_sum(log_joint)
         possible = jnp.isfinite(log_p)
-        shares = [jnp.where(possible, jnp.exp(term - log_p), alpha) for term, alpha in zip(log_joint, self.weights, strict=True)]
+        shares = [
+            jnp.where(possible, jnp.exp(term - log_p), alpha)
+            for term, alpha in zip(log_joint, self.weights, strict=True)
+        ]
         return log_p, cumulative(shares)
 
 

@@ -2,10 +2,9 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from numpy.typing import ArrayLike
 
 from mcmc1d.numerics import (
     between,
@@ -20,7 +19,7 @@ from mcmc1d.numerics import (
     width,
 )
 from mcmc1d.techniques.base import Inversion, within
-from mcmc1d.types import Float, Index, Real, Scalar
+from mcmc1d.types import Corners, Float, Index, Real, Scalar
 
 
 class PiecewiseConstant(Inversion):
@@ -38,7 +37,7 @@ class PiecewiseConstant(Inversion):
         self.cumulative = _cumulative(heights * np.diff(self.edges))
 
     @property
-    def support(self) -> tuple[ArrayLike, ArrayLike]:
+    def support(self) -> Corners:
         return self.edges[0], self.edges[-1]
 
     @property
@@ -115,7 +114,7 @@ class PiecewiseLinear(Inversion):
         self.values = values / masses.sum()
 
     @property
-    def support(self) -> tuple[ArrayLike, ArrayLike]:
+    def support(self) -> Corners:
         return self.knots[0], self.knots[-1]
 
     @property
@@ -158,7 +157,6 @@ def _table(name: str, edges: ArrayLike, heights: ArrayLike, *, cells: bool) -> t
         f"{name}: the heights must be finite, none negative, one positive at least: {heights}",
     )
     return edges, heights
-
 
 
 EXAMPLES = {

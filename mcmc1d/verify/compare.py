@@ -13,10 +13,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from mcmc1d.numerics import jit_with
 from mcmc1d.verify.report import Check, numbers
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-"""Compiler options for code that is compiled to run once: compiling is nearly all of a contract's time."""
+quickly = jit_with(xla_backend_optimization_level=0, xla_llvm_disable_expensive_passes=True)
+"""For code that is compiled to run a few times: compiling is nearly all of a contract's time."""
 
 TOLERANCE = {np.dtype(np.float64): 1e-10, np.dtype(np.float32): 2e-5}
 """Times the condition number of a point: 5e5 roundings in float64; 170 in float32, where fewer digits are to spare."""
@@ -34,7 +35,7 @@ class Points:
     @property
     def regular(self) -> np.ndarray:
         """Where the map has finite derivatives."""
-        return np.isfinite(self.condition)
+        return np.asarray(np.isfinite(self.condition))
 
     @property
     def tolerance(self) -> np.ndarray:
@@ -52,7 +53,7 @@ def condition_number(jacobian: np.ndarray, slope: np.ndarray, log_det: np.ndarra
     n, d = jacobian.shape[:2]
     if d == 0:
         return np.ones(n)
-    finite = np.isfinite(jacobian).all((1, 2)) & np.isfinite(slope).all(1)
+    finite: np.ndarray = np.isfinite(jacobian).all((1, 2)) & np.isfinite(slope).all(1)
     safe = np.where(finite[:, None, None], jacobian, np.eye(d)).astype(np.float64)
     invertible = np.abs(np.linalg.det(safe)) > 0
     inverse = np.linalg.inv(np.where(invertible[:, None, None], safe, np.eye(d)))
@@ -76,8 +77,8 @@ def distance(left: Any, right: Any) -> np.ndarray:
     Equal infinities are equal; NaN is infinitely far from everything.
     """
     parts = []
-    for a, b in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
-        a, b = (np.asarray(v, np.float64).reshape(len(v), -1) for v in (a, b))
+    for pair in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        a, b = (np.asarray(side, np.float64).reshape(len(side), -1) for side in pair)
         with np.errstate(invalid="ignore"):
             parts.append(np.where(a == b, 0, np.abs(a - b)))
     apart = np.concatenate(parts, axis=1)
@@ -140,5 +141,7 @@ def _neighbours(points: Points, missed: np.ndarray) -> Iterator[tuple[np.ndarray
     for first in range(0, len(rows), n):
         which = np.resize(rows[first : first + n], n)
         start = points.values[which]
-        moved = start + np.resize(shifts[first : first + n], start.shape) * np.where(free, np.maximum(1, np.abs(start)), 1)
+        moved = start + np.resize(shifts[first : first + n], start.shape) * np.where(
+            free, np.maximum(1, np.abs(start)), 1
+        )
         yield np.where(free, moved, np.clip(moved, 0, below_one)).astype(dtype), which

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -16,8 +15,8 @@ from mcmc1d.numerics import cast
 from mcmc1d.state import Eval, Multiplexed, State
 from mcmc1d.targets import GaussianMixture
 from mcmc1d.techniques import Mixture, PiecewiseConstant, Ramp, Tent
-from mcmc1d.types import Array, Float, Int
-from mcmc1d.verify.compare import QUICK, Points, compare, condition_number, log_abs_det
+from mcmc1d.types import Array, Float, Int, Real, Scalar
+from mcmc1d.verify.compare import Points, compare, condition_number, log_abs_det, quickly
 from mcmc1d.verify.points import cube_points
 from mcmc1d.verify.report import Check, Report, numbers
 
@@ -159,20 +158,20 @@ class _Contract:
 class _Outcome(eqx.Module):
     """A proposal, the proposal from there, and the derivatives."""
 
-    index: Int[Array, ""]
-    uw: Float[Array, " d"]
-    log_det: Float[Array, ""]
-    acceptance: Float[Array, ""]
-    index_back: Int[Array, ""]
-    uw_back: Float[Array, " d"]
-    log_det_back: Float[Array, ""]
-    jacobian: Float[Array, "d d"]
-    slope: Float[Array, " d"]
+    index: Int[Real, ""]
+    uw: Float[Real, " d"]
+    log_det: Scalar
+    acceptance: Scalar
+    index_back: Int[Real, ""]
+    uw_back: Float[Real, " d"]
+    log_det_back: Scalar
+    jacobian: Float[Real, "d d"]
+    slope: Float[Real, " d"]
     kept: Eval | None
     """What the move says of its proposal; None where it leaves the evaluation to the kernel."""
     found: Eval
     """What an evaluation finds there."""
-    sensitivity: Float[Array, ""]
+    sensitivity: Scalar
     """The largest derivative with respect to u of what an evaluation finds, at either end."""
 
 
@@ -189,14 +188,14 @@ class _Twice(eqx.Module):
             known = State(jnp.asarray(first.state.index, jnp.int32), first.state.u, first.state.eval)
             there = self.target.evaluate(known)
             second = self._propose(there, _flat(first))
-            found = self.target.evaluate(State(known.index, known.u)).eval
+            found = self.target.evaluate(State(known.index, known.u)).seen
             a = acceptance(here, Proposal(there, first.w, first.log_det))
-            differentiated = (_flat(first), jnp.asarray(first.log_det), here.eval)
+            differentiated = (_flat(first), jnp.asarray(first.log_det), here.seen)
             return differentiated, (*differentiated[:2], known, a, second, found)
 
         (jacobian, slope, slopes), aux = jax.jacfwd(apply, has_aux=True)(uw)
         out, log_det, known, a, second, found = aux
-        slopes = (slopes, jax.jacfwd(lambda u: self.target.evaluate(State(known.index, u)).eval)(known.u))
+        slopes = (slopes, jax.jacfwd(lambda u: self.target.evaluate(State(known.index, u)).seen)(known.u))
         steepest = [jnp.max(jnp.abs(leaf), initial=0) for leaf in jax.tree.leaves(slopes)]
         return _Outcome(
             index=known.index,
@@ -231,6 +230,6 @@ def _back(out: _Outcome) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(out.index_back), np.asarray(out.uw_back)
 
 
-@partial(eqx.filter_jit, compiler_options=QUICK)
+@quickly
 def _over(twice: _Twice, index: Int[Array, " n"], points: Float[Array, "n d"]) -> _Outcome:
     return jax.vmap(twice)(index, points)

@@ -1,8 +1,7 @@
 """The contract of a technique, checked at machine precision for the very code that runs in production."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +14,7 @@ from mcmc1d.numerics import cast, require
 from mcmc1d.quadrature import integrate_box
 from mcmc1d.techniques import Technique, sample_shape
 from mcmc1d.types import Array, Float, Scalar
-from mcmc1d.verify.compare import QUICK, Points, compare, condition_number, directions, log_abs_det
+from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, quickly
 from mcmc1d.verify.points import cube_points
 from mcmc1d.verify.report import Check, Report, numbers
 
@@ -72,8 +71,8 @@ class _Contract:
         image, log_det, jacobian, slope = self.forward(u)
         require(
             image.shape[1] == m,
-            f"{type(self.technique).__name__}: u has {m} numbers, but x and v together {image.shape[1]}; what x forgets "
-            "of u must be returned as v, and nothing more",
+            f"{type(self.technique).__name__}: u has {m} numbers, but x and v together {image.shape[1]}; what x "
+            "forgets of u must be returned as v, and nothing more",
         )
         at_u = Points(u, condition_number(jacobian, slope, log_det))
         at_image = Points(image, at_u.condition, free=self.d)
@@ -81,9 +80,9 @@ class _Contract:
 
         def at(k: int) -> str:
             return (
-                f"u = {numbers(u[k])}: x = {self._x(image[k])}, v = {numbers(image[k, self.d :])}, log_det = {log_det[k]}, "
-                f"autodiff {log_abs_det(jacobian[k : k + 1])[0]}; the inverse gives u = {numbers(back[k])}, "
-                f"log_det = {log_det_back[k]}; log_prob = {log_prob[k]}"
+                f"u = {numbers(u[k])}: x = {self._x(image[k])}, v = {numbers(image[k, self.d :])}, "
+                f"log_det = {log_det[k]}, autodiff {log_abs_det(jacobian[k : k + 1])[0]}; the inverse gives "
+                f"u = {numbers(back[k])}, log_det = {log_det_back[k]}; log_prob = {log_prob[k]}"
             )
 
         singular = self._singular(at_u)
@@ -219,7 +218,11 @@ class _Contract:
             return f"x = {self._x(at.values[k])}, v = {numbers(at.values[k, self.d :])}: {log_prob[k]} and {log_det[k]}"
 
         pointwise = compare(
-            "log_prob(x) = log|det du/d(x, v)|, pointwise", at, lambda p, _: self.inverse(p)[2], log_det, describe=describe
+            "log_prob(x) = log|det du/d(x, v)|, pointwise",
+            at,
+            lambda p, _: self.inverse(p)[2],
+            log_det,
+            describe=describe,
         )
         k = at.values.shape[1] - self.d
         if pointwise.passed or k == 0:
@@ -273,8 +276,8 @@ class _Density(eqx.Module):
         return jnp.exp(self.technique.log_prob(x.reshape(self.shape)))
 
 
-@partial(eqx.filter_jit, compiler_options=QUICK)
-def _over(function: eqx.Module, points: Float[Array, "n m"]) -> Any:
+@quickly
+def _over(function: Callable, points: Float[Array, "n m"]) -> Any:
     return jax.vmap(function)(points)
 
 

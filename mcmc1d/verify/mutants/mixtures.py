@@ -1,12 +1,11 @@
 """Wrong inverses of a right mixture technique."""
 
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
 
 from mcmc1d.numerics import choose, cumulative, locate, unchoose
 from mcmc1d.techniques import Mixture, RaisedSinusoid, Ramp, Technique, Tent, dim_v
 from mcmc1d.techniques.base import Forward, Inverse
-from mcmc1d.types import Array, Float, Scalar
+from mcmc1d.types import Array, Corners, Float, Scalar
 from mcmc1d.verify.mutants import Mutant
 
 
@@ -23,7 +22,7 @@ class FixedPointInverse(Technique):
         return self.mixture.dim_u
 
     @property
-    def support(self) -> tuple[ArrayLike, ArrayLike]:
+    def support(self) -> Corners:
         return self.mixture.support
 
     @property

@@ -48,7 +48,10 @@ _DETERMINANT = "log_det = log|det d(u', w')/d(u, w)| by autodiff"
 
 MUTANTS = {
     "clamped_step": Mutant(
-        ClampedStep(), "clamped instead of wrapped", "Segovia et al. 2007, section 6.1; pbrt 16.4 on wrapping", _DETERMINANT
+        ClampedStep(),
+        "clamped instead of wrapped",
+        "Segovia et al. 2007, section 6.1; pbrt 16.4 on wrapping",
+        _DETERMINANT,
     ),
     "lopsided_step": Mutant(
         LopsidedStep(), "asymmetric proposal treated as symmetric", "blackjax and CES.jl: Barker proposals", _TWICE
