@@ -78,16 +78,11 @@ def claims(
     markdown: Annotated[bool, typer.Option("--markdown", help="As the README's table.")] = False,
 ) -> None:
     """Show the claims checked so far, from the results of the last runs."""
-    records = [json.loads(path.read_text()) for path in sorted(out.glob("*.json"))]
-    found = [framework.Claim(**claim) for record in records for claim in record.get("claims", [])]
-    if not found:
-        raise ValueError(f"no results in {out}; run `python -m experiments run --all` first")
+    found = framework.read_claims(out)
     if json_:
         print(json.dumps([vars(claim) for claim in found], indent=2))
     elif markdown:
-        print("| claim | source | verdict | measured | held to |\n| --- | --- | --- | --- | --- |")
-        for c in found:
-            print(f"| {c.statement} | {c.source} | **{c.verdict}** | {c.number} | {c.tolerance} |")
+        print("\n".join(framework.markdown(found)))
     else:
         _print_claims(found)
 

@@ -134,6 +134,20 @@ def manifest(name: str, profile: str, config: Any, seed: int, claims: list[Claim
     }
 
 
+def read_claims(out: Path) -> list[Claim]:
+    """The claims of the last run of each experiment, from the manifests in `out`."""
+    records = [json.loads(path.read_text()) for path in sorted(out.glob("*.json"))]
+    found = [Claim(**claim) for record in records for claim in record.get("claims", [])]
+    require(bool(found), f"no results in {out}; run `python -m experiments run --all` first")
+    return found
+
+
+def markdown(claims: list[Claim]) -> list[str]:
+    """The lines of the README's table."""
+    rows = [f"| {c.statement} | {c.source} | **{c.verdict}** | {c.number} | {c.tolerance} |" for c in claims]
+    return ["| claim | source | verdict | measured | held to |", "| --- | --- | --- | --- | --- |", *rows]
+
+
 def write(out: Path, name: str, data: xr.Dataset, figure: Figure, record: Mapping[str, Any]) -> list[Path]:
     """NAME.png, .pdf, .nc and .json in `out`, made under other names and renamed once all are whole."""
     attributes = {key: value if isinstance(value, str | int) else json.dumps(value) for key, value in record.items()}
@@ -182,7 +196,9 @@ __all__ = [
     "configure",
     "load",
     "manifest",
+    "markdown",
     "names",
+    "read_claims",
     "require_writable",
     "style",
     "write",

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.numerics import below_one
+from mcmc1d.numerics import below_one, limit
 from mcmc1d.types import Array, Corners, Float, Scalar
 
 Forward: TypeAlias = tuple[Float[Array, "..."], Float[Array, " k"], Scalar]
@@ -75,13 +75,21 @@ class Inversion(Technique):
 
     def forward(self, u: Float[Array, " 1"]) -> Forward:
         """(P^-1(u), nothing, -log p)."""
-        x = self.quantile(u[0])
+        x = _snap(self.quantile(u[0]), *self.support)
         return x, u[1:], -self.log_prob(x)
 
     def inverse(self, x: Scalar, v: Float[Array, " 0"]) -> Inverse:
         """(P(x), log p)."""
         x = jnp.asarray(x)
         return below_one(self.cdf(x))[None], self.log_prob(x)
+
+
+def _snap(x: Scalar, lower: Any, upper: Any) -> Scalar:
+    """`x`, or the end of the support where it lies a few roundings beyond: a cube root of 1 - 1e-16 may be over 1."""
+    x = jnp.asarray(x)
+    few = 8 * jnp.finfo(x.dtype).eps.astype(x.dtype)
+    below, above = lower - few * jnp.maximum(1, jnp.abs(lower)), upper + few * jnp.maximum(1, jnp.abs(upper))
+    return limit(x, jnp.where(x < below, x, lower), jnp.where(x > above, x, upper))
 
 
 def sample_shape(technique: Technique) -> tuple[int, ...]:

@@ -53,7 +53,7 @@ def condition_number(jacobian: np.ndarray, slope: np.ndarray, log_det: np.ndarra
     n, d = jacobian.shape[:2]
     if d == 0:
         return np.ones(n)
-    finite: np.ndarray = np.isfinite(jacobian).all((1, 2)) & np.isfinite(slope).all(1)
+    finite = np.asarray(np.isfinite(jacobian).all((1, 2)) & np.isfinite(slope).all(1))
     safe = np.where(finite[:, None, None], jacobian, np.eye(d)).astype(np.float64)
     invertible = np.abs(np.linalg.det(safe)) > 0
     inverse = np.linalg.inv(np.where(invertible[:, None, None], safe, np.eye(d)))
