@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
@@ -44,7 +45,7 @@ class Config:
     blocks: int = 32
     """Independent groups of chains: the standard errors are their spread."""
     trace_chains: int = 64
-    trace_steps: int = 2048
+    trace_steps: int = 8192
     level: float = 1e-6
     """Probability that a right integrator is rejected by one test; there are two an integrator."""
 
@@ -197,17 +198,9 @@ def draw(data: xr.Dataset) -> Figure:
 
 def table(data: xr.Dataset) -> Table:
     """Each integrator's distance from the exact law, p-values, acceptance rates and autocorrelation time."""
+    columns = ("integrator", "TV x", "TV i,x", "p x", "p i,x", "small", "jump", "IAT", "")
     result = Table(
-        "integrator",
-        "TV x",
-        "TV (i, x)",
-        "p x",
-        "p (i, x)",
-        "accept small",
-        "accept jump",
-        "IAT",
-        "law",
-        title="rjmlt_fig3",
+        *columns, title="rjmlt_fig3: distances, p-values, acceptance, autocorrelation", box=SIMPLE, padding=0
     )
     for k, name in enumerate(data.integrator.to_numpy()):
         here = data.isel(integrator=k)
@@ -215,9 +208,9 @@ def table(data: xr.Dataset) -> Table:
             str(name),
             f"{float(here.total_variation_x):.4f}",
             f"{float(here.total_variation):.4f}",
-            f"{float(here.p_x):.2g}",
-            f"{float(here.p_joint):.2g}",
-            *(f"{float(rate):.4f}" for rate in here.acceptance),
+            f"{float(here.p_x):.1g}",
+            f"{float(here.p_joint):.1g}",
+            *(f"{float(rate):.3f}" for rate in here.acceptance),
             f"{float(here.autocorrelation_time):.0f}",
             "accepted" if _accepted(here) else "rejected",
         )

@@ -17,7 +17,7 @@ from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, jit_with, require
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Float, Index, Int, Key
+from mcmc1d.types import Array, Float, Int, Key
 
 # A float32 sum is exact up to 2**24 unit weights; a drain well before that also keeps the rounding of fractional
 # weights far below the sampling error.
@@ -53,7 +53,7 @@ class Run(eqx.Module):
         def error(s: np.ndarray) -> np.ndarray:
             blocks = len(s)
             require(blocks >= 2, "a standard error needs two blocks of chains at least")
-            return s.std(0, ddof=1) * np.sqrt(blocks) / (self.chains * self.steps)
+            return np.asarray(s.std(0, ddof=1) * np.sqrt(blocks) / (self.chains * self.steps))
 
         return jax.tree.map(error, self.sums[name])
 
@@ -254,10 +254,10 @@ def _advance(
 
 
 @eqx.filter_jit
-def _record(key: Key, kernel: Kernel, target: Multiplexed, start: State, steps: int) -> tuple[Array, Index]:
+def _record(key: Key, kernel: Kernel, target: Multiplexed, start: State, steps: int) -> tuple[Array, Array]:
     """X and the index of every chain after every step."""
 
-    def body(state: State, k: Array) -> tuple[State, tuple[Array, Index]]:
+    def body(state: State, k: Array) -> tuple[State, Any]:
         state = _step(key, kernel, target, k, state).state
         return state, (state.seen.x, state.index)
 

@@ -98,12 +98,10 @@ class Acceptance(Estimator):
     def update(self, sums: tuple[Array, Array], steps: Step) -> tuple[Array, Array]:
         info, (accepted, proposed) = steps.info, sums
         # Summed by comparison, not by scatter: there are few kinds and many chains.
-        is_kind = info.kind[..., None] == jnp.arange(proposed.shape[0])
-        axes = tuple(range(info.kind.ndim))
-        return (
-            accepted + jnp.where(is_kind, info.acceptance[..., None], 0).sum(axes),
-            proposed + is_kind.astype(proposed.dtype).sum(axes),
-        )
+        kinds = range(proposed.shape[0])
+        gained = jnp.stack([jnp.where(info.kind == k, info.acceptance, 0).sum() for k in kinds])
+        tried = jnp.stack([(info.kind == k).sum(dtype=proposed.dtype) for k in kinds])
+        return accepted + gained, proposed + tried
 
 
 class Expectation(Estimator):

@@ -1,31 +1,29 @@
 """Goodness of fit of independent draws to exact bin masses, with p-values that are valid far in the tail."""
 
 import numpy as np
-from jaxtyping import Float
 from scipy.stats import binom
 
 from mcmc1d.numerics import require
 
-Counts = Float[np.ndarray, " bins"]
 
-
-def dkw_p_value(counts: Counts, masses: Counts) -> float:
+def dkw_p_value(counts: np.ndarray, masses: np.ndarray) -> float:
     """P(a gap in the CDF this large), by the Dvoretzky-Kiefer-Wolfowitz bound with Massart's constant: 2 exp(-2 n g^2).
 
-    The gap is looked up at the bins' ends, in their order; the bound holds at every n and every level.
+    `counts` and `masses` are arrays of one shape, of bins. The gap is looked up at the bins' ends, in the arrays'
+    order; the bound holds at every n and every level.
     """
     counts, masses = _checked(counts, masses)
     n = counts.sum()
     return float(min(1.0, 2 * np.exp(-2 * n * cdf_gap(counts, masses) ** 2)))
 
 
-def cdf_gap(counts: Counts, masses: Counts) -> float:
+def cdf_gap(counts: np.ndarray, masses: np.ndarray) -> float:
     """The largest difference of the two cumulative distribution functions at the bins' ends."""
     counts, masses = _checked(counts, masses)
     return float(np.abs(np.cumsum(counts / counts.sum() - masses / masses.sum())).max())
 
 
-def cells_p_value(counts: Counts, masses: Counts) -> float:
+def cells_p_value(counts: np.ndarray, masses: np.ndarray) -> float:
     """The smallest exact two-sided binomial p-value of any bin, times the number of bins (the union bound)."""
     counts, masses = _checked(counts, masses)
     n, p = int(counts.sum()), masses / masses.sum()
@@ -33,7 +31,7 @@ def cells_p_value(counts: Counts, masses: Counts) -> float:
     return float(min(1.0, 2 * tail.min() * len(p)))
 
 
-def p_value(counts: Counts, masses: Counts) -> float:
+def p_value(counts: np.ndarray, masses: np.ndarray) -> float:
     """Twice the smaller of the two p-values above: valid at every level, for gaps that are broad or narrow."""
     return min(1.0, 2 * min(dkw_p_value(counts, masses), cells_p_value(counts, masses)))
 
@@ -51,7 +49,7 @@ def total_variation(p: np.ndarray, q: np.ndarray) -> float:
     return float(np.abs(p - q).sum() / 2)
 
 
-def _checked(counts: Counts, masses: Counts) -> tuple[np.ndarray, np.ndarray]:
+def _checked(counts: np.ndarray, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     counts, masses = np.ravel(np.asarray(counts, np.float64)), np.ravel(np.asarray(masses, np.float64))
     require(counts.shape == masses.shape, f"{counts.size} counts can not be compared with {masses.size} masses")
     require(bool(np.all(counts >= 0)) and counts.sum() > 0, "counts must not be negative, and some must be positive")

@@ -1,0 +1,69 @@
+"""What can not be sampled is refused with a line that names it; exact joint laws."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mcmc1d
+from mcmc1d import moves, targets, techniques, weights
+
+SINUSOID = targets.Sinusoid(0.9, 2.0, 0.1, 3.0)
+PAIR = (techniques.Tent(0.3), techniques.PiecewiseConstant([0, 0.4, 0.6, 1], [1, 0, 2]))
+HALF = techniques.PiecewiseConstant([0, 0.5, 1], [1, 0])
+
+
+def of(function):
+    return targets.FromFunction(function)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: mcmc1d.Multiplexed(of(lambda x: x - 0.5), PAIR), "FromFunction is NaN at x = 0.00"),
+        (lambda: mcmc1d.Multiplexed(of(lambda x: x / 0 * 0), PAIR), "NaN"),
+        (lambda: mcmc1d.Multiplexed(of(lambda x: 0 * x), PAIR), "zero everywhere"),
+        (lambda: mcmc1d.Multiplexed(of(lambda x: 1 / (0 * x)), PAIR), "infinite"),
+        (lambda: mcmc1d.Multiplexed(SINUSOID, HALF), "no technique reaches x = 0.50"),
+        (lambda: mcmc1d.Multiplexed(SINUSOID, PAIR, lambda x, p: 0.9 * p / p.sum()), "sum to 0.9, not to one"),
+        (lambda: mcmc1d.Multiplexed(SINUSOID, PAIR, lambda x, p: jnp.array([0.5, 0.5])), "weight of technique 1"),
+        (lambda: mcmc1d.Multiplexed(SINUSOID, PAIR, lambda x, p: jnp.array([1.5, -0.5])), "NaN or negative"),
+        (lambda: mcmc1d.Multiplexed(SINUSOID, ()), "one technique at least"),
+        (lambda: targets.Sinusoid(1.5), "amplitude of 1.5 makes the target negative"),
+        (lambda: targets.Tabulated([1, -1]), "value"),
+        (lambda: targets.GaussianMixture([0.5], [0.0], [1.0]), "sigmas must be positive"),
+        (lambda: techniques.Mixture(PAIR, (0.5, 0.6)), "sum to one"),
+        (lambda: techniques.Tent(1.0), "mode must lie strictly between"),
+        (lambda: techniques.RaisedSinusoid(1.1), "negative"),
+        (lambda: techniques.RaisedSinusoid(0.5, 0), "whole number"),
+        (lambda: techniques.TruncatedNormal(0.5, -1), "sigma must be positive"),
+        (lambda: techniques.PiecewiseConstant([0, 1, 0.5], [1, 1]), "must rise"),
+        (lambda: moves.SmallStep(0.0), "sigma must be positive"),
+        (lambda: moves.TechniqueChange([[0.5, 0.4], [0.5, 0.5]]), "row"),
+        (lambda: moves.Mixture({"a": (0.5, moves.LargeStep())}), "sum to one"),
+        (lambda: weights.Power(-1), "beta must be positive"),
+        (lambda: mcmc1d.Histogram([0, 0.5, 0.5]), "rising"),
+    ],
+)
+def test_it_is_refused_with_the_reason(make, message):
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match=message):
+        make()
+
+
+HEURISTICS = [weights.Balance(), weights.Power(), weights.Maximum(), lambda x, p: p / p.sum()]
+
+
+@pytest.mark.parametrize("heuristic", HEURISTICS)
+def test_joint_law_is_the_target_shared_out(heuristic):
+    edges = np.array([0, 0.1, 0.4, 0.55, 1.0])
+    joint = mcmc1d.Multiplexed(SINUSOID, PAIR, heuristic).joint_masses(edges)
+    masses = SINUSOID.bin_masses(edges)
+    assert joint.shape == (2, 4)
+    assert np.allclose(joint.sum(0), masses / masses.sum(), atol=1e-10)
+
+
+def test_joint_law_of_the_balance_heuristic_in_closed_form():
+    """f = 1, a ramp 2 x and a uniform: w = 2 x / (1 + 2 x), whose integral over [0, a] is a - ln(1 + 2 a) / 2."""
+    target = mcmc1d.Multiplexed(of(jnp.ones_like), (techniques.Ramp(2.0), techniques.Uniform()))
+    ramp = target.joint_masses(np.array([0, 0.25, 1.0]))[0]
+    below = np.array([0, 0.25, 1.0]) - np.log1p(2 * np.array([0, 0.25, 1.0])) / 2
+    assert np.allclose(ramp, np.diff(below), atol=1e-10)
