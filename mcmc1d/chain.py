@@ -19,10 +19,12 @@ from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
-# A float32 sum is exact up to 2**24 unit weights; a drain well before that also keeps the rounding of fractional
-# weights far below the sampling error.
-_DEPOSITS_PER_DRAIN = 2**22
+_DEPOSITS_PER_DRAIN = 2**22  # before a drain into float64; within it the sums are compensated
 _STEPS_PER_DRAIN = 2**16  # so that a single chain, too, reports its progress
+
+
+# The counter of the numbers that are no step's: whatever key a user starts and runs with, none is used twice.
+_DRAWS = 2**31 - 1
 
 
 class Normalisation(NamedTuple):
@@ -101,6 +103,10 @@ def run(
     """
     kernel = _as_kernel(kernel)
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    require(
+        dtype == jnp.float32 or (dtype == jnp.float64 and jnp.zeros(()).dtype == jnp.float64),
+        f"run: dtype must be float32, or float64 with JAX's x64 on, not {dtype}",
+    )
     require(steps >= 1, f"run: steps must be at least 1, not {steps}")
     require(
         blocks >= 1 and chains >= blocks and chains % blocks == 0,
@@ -121,7 +127,14 @@ def run(
     per_drain = max(1, min(_STEPS_PER_DRAIN, _DEPOSITS_PER_DRAIN // size))
     done = 0
 
+    wide = jnp.zeros(()).dtype == jnp.float64
+
     def run_block(block: int) -> tuple[State, Any]:
+        # A worker thread does not inherit a context such as `with jax.enable_x64(True)`.
+        with jax.enable_x64(wide):
+            return advance_block(block)
+
+    def advance_block(block: int) -> tuple[State, Any]:
         nonlocal done
         own = slice(block * size, (block + 1) * size)
         state = State(index[own], u[own])
@@ -187,7 +200,8 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) ->
     """`count` independent states drawn exactly from the target by rejection: no burn-in, no inverse is trusted.
 
     The bound is the largest density among 2**16 probes, with a quarter to spare; should a candidate exceed it, it is
-    raised and everything is drawn again. Raises `ValueError` where the density is zero at every probe.
+    raised and everything is drawn again. A peak that all of the probes and candidates miss is missed. Raises
+    `ValueError` where the density is zero at every probe, is not finite, or is too narrow for rejection.
     """
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     target = cast(target, dtype)
@@ -203,6 +217,12 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) ->
         state, density, uniform = _draw(jax.random.fold_in(key, attempt), target, batch, dtype)
         attempt += 1
         density = np.asarray(density, np.float64)
+        if not np.isfinite(density).all():
+            worst = np.asarray(state.u)[np.argmax(~np.isfinite(density))]
+            raise ValueError(f"{type(target.target).__name__}: the density is not finite at u = {worst}")
+        require(
+            attempt <= 10_000, f"exact_start: {found} of {count} states after {attempt * batch} candidates; give start="
+        )
         if density.max() > bound:
             bound, kept, found = 1.25 * float(density.max()), [], 0
             continue
@@ -221,7 +241,7 @@ def _draw(
     key: Key, target: Multiplexed, count: int, dtype: Any
 ) -> tuple[State, Float[Array, " count"], Float[Array, " count"]]:
     """States uniform on (i, u), their densities, and a uniform number for each."""
-    numbers = uniforms(key, 0, (target.dim_u + 2, count), dtype)
+    numbers = uniforms(key, _DRAWS, (target.dim_u + 2, count), dtype)
     index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
     state = State(index, numbers[2:].T)
     density = jax.vmap(lambda s: jnp.exp(target.evaluate(s).seen.log_c))(state)
@@ -240,15 +260,20 @@ def _advance(
     first: Int[Array, ""],
     count: Int[Array, ""],
 ) -> tuple[State, dict[str, Any]]:
-    """`count` steps of every chain of a block from step `first` on, and the sums that they add."""
+    """`count` steps of every chain of a block from step `first` on, and what they add to `sums`, which are zero."""
 
-    def body(k: Array, carry: tuple[State, dict[str, Any]]) -> tuple[State, dict[str, Any]]:
-        state, sums = carry
+    def body(k: Array, carry: tuple[State, Any, Any]) -> tuple[State, Any, Any]:
+        state, total, lost = carry
         steps = _step(key, kernel, target, first + k, state)
-        return steps.state, {name: estimators[name].update(sums[name], steps) for name in estimators}
+        gained = {name: estimators[name].update(sums[name], steps) for name in estimators}
+        # Kahan's summation: what a float32 total is too large to take in is kept for the next step.
+        gained = jax.tree.map(jnp.subtract, gained, lost)
+        after = jax.tree.map(jnp.add, total, gained)
+        lost = jax.tree.map(lambda new, old, more: (new - old) - more, after, total, gained)
+        return steps.state, after, lost
 
     evaluated = jax.vmap(target.evaluate, out_axes=-1)(state)
-    state, sums = jax.lax.fori_loop(0, count, body, (evaluated, sums))
+    state, sums, _ = jax.lax.fori_loop(0, count, body, (evaluated, sums, sums))
     # Without its eval: what nothing reads after the loop need not be carried through it.
     return State(state.index, state.u.T), sums
 

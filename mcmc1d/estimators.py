@@ -20,7 +20,7 @@ class Estimator(eqx.Module):
 
     `update` is handed the steps of all chains of a block at once (each leaf with a leading axis of chains) and adds
     them to the accumulator, a pytree of sums that starts at zero. The runner drains it into float64 on the host
-    before a float32 sum can lose anything.
+    before a float32 sum can lose anything, and calls `update` with zeros, compensating what it adds up itself.
     """
 
     @abc.abstractmethod
@@ -70,10 +70,21 @@ class Histogram(Estimator):
 
     def update(self, sums: Float[Array, "..."], steps: Step) -> Float[Array, "..."]:
         deposits = steps.deposits
+        if sums.dtype == jnp.float64:
+            limbs, scale = [jnp.zeros_like(sums)], 1.0
+        else:
+            # A float32 bin with thousands of deposits would round each: they are added up as whole numbers of
+            # 2**-bits, as many bits as keep all of a step's deposits (of weight 1 at most) in 31, and the rest alike.
+            limbs = [jnp.zeros(sums.shape, jnp.int32)] * 2
+            scale = 2.0 ** (30 - max(deposits.weight.size - 1, 1).bit_length())
         for x, index, weight in zip(deposits.x, deposits.index, deposits.weight, strict=True):
             where = (index, self._bin(x)) if self.joint else (self._bin(x),)
-            sums = sums.at[where].add(weight, mode="promise_in_bounds")
-        return sums
+            amount = weight * scale
+            for k, limb in enumerate(limbs):
+                whole = amount if limb.dtype == amount.dtype else jnp.round(amount)
+                limbs[k] = limb.at[where].add(whole.astype(limb.dtype), mode="promise_in_bounds")
+                amount = (amount - whole) * scale
+        return sums + sum(limb.astype(sums.dtype) / scale ** (k + 1) for k, limb in enumerate(limbs))
 
     def _bin(self, x: Float[Array, "..."]) -> Array:
         bins = self.edges.shape[0] - 1

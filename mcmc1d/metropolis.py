@@ -129,11 +129,13 @@ class Cycle(Kernel):
 def acceptance(state: State, proposal: Proposal) -> Scalar:
     """min(1, pi(s') / pi(s) |d(s', w') / d(s, w)|) for an evaluated proposal (Green 1995; Tierney 1998).
 
-    Zero where s' or w' lies outside the unit cube and where the ratio is not a number; a dark state accepts any
-    lit one.
+    Zero where s' or w' lies outside the unit cube, where there is no technique of that index, and where the ratio is
+    not a number; a dark state accepts any lit one.
     """
     log_ratio = proposal.state.seen.log_c - state.seen.log_c + proposal.log_det
-    possible = in_unit_cube(proposal.state.u) & in_unit_cube(proposal.w) & ~jnp.isnan(log_ratio)
+    index = proposal.state.index
+    possible = (index >= 0) & (index < len(proposal.state.seen.log_p))
+    possible &= in_unit_cube(proposal.state.u) & in_unit_cube(proposal.w) & ~jnp.isnan(log_ratio)
     return jnp.exp(jnp.where(possible, jnp.minimum(log_ratio, 0), -jnp.inf))
 
 

@@ -80,7 +80,7 @@ def wrap(u: Float[Array, "..."]) -> Float[Array, "..."]:
     The floor of a tiny negative number is -1 and the sum rounds to 1; there the result is 0, which is as near.
     """
     wrapped = u - jnp.floor(u)
-    return jnp.where(wrapped < 1, wrapped, 0)
+    return jnp.where(wrapped >= 1, 0, wrapped)
 
 
 def in_unit_cube(u: Float[Array, "..."]) -> Array:

@@ -82,7 +82,7 @@ class _Contract:
         # A move looks at x, f and p at both ends: where they are steep, its own rounding is amplified likewise.
         steepness = np.where(np.isfinite(out.sensitivity), out.sensitivity, np.inf)
         points = Points(uw, np.maximum(condition_number(out.jacobian, out.slope, out.log_det), steepness))
-        inside = ((out.uw >= 0) & (out.uw < 1)).all(1)
+        inside = ((out.uw >= 0) & (out.uw < 1)).all(1) & (out.index >= 0) & (out.index < n)
         possible = inside & np.isfinite(out.log_det)
 
         def describe(k: int) -> str:
