@@ -151,7 +151,14 @@ class Multiplexed(eqx.Module):
         By adaptive quadrature, split where f, p and w are known to jump; its sum over the techniques is the law of
         x, which `target.bin_masses` gives independently.
         """
-        masses = integrate(_Shares(self), np.asarray(edges, np.float64), self.breaks)[0].T
+        edges = np.asarray(edges, np.float64)
+        lower, upper = self.target.domain
+        require(
+            bool(edges[0] <= lower and upper <= edges[-1]),
+            f"joint_masses: the bins [{edges[0]}, {edges[-1]}] do not cover the domain [{lower}, {upper}] of "
+            f"{type(self.target).__name__}; extend the edges",
+        )
+        masses = integrate(_Shares(self), edges, self.breaks)[0].T
         return masses / masses.sum()
 
 
