@@ -166,8 +166,23 @@ def width(ends: Ends, k: Index) -> Scalar:
 # --- elementary functions -------------------------------------------------------------------------------------------
 
 
+@jax.custom_jvp
+def still(log_x: Scalar) -> Scalar:
+    """`log_x`, whose derivative is zero where it is -inf: what is zero around a point contributes nothing there.
+
+    In a hole of a density the derivative of its logarithm is 0/0, and 0 times NaN is NaN.
+    """
+    return log_x
+
+
+@still.defjvp
+def _still_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+    return primals[0], jnp.where(jnp.isneginf(primals[0]), jnp.zeros_like(tangents[0]), tangents[0])
+
+
 def log_sum(terms: Sequence[Scalar]) -> Scalar:
     """The log of the sum of the terms' exponentials, without overflow; -inf where every term is."""
+    terms = [still(term) for term in terms]
     largest = terms[0]
     for term in terms[1:]:
         largest = jnp.maximum(largest, term)

@@ -1,7 +1,36 @@
-"""Verification: deterministic contracts of techniques and moves."""
+"""Verification: contracts of techniques and moves, and a verdict with an error rate on any kernel."""
 
+from mcmc1d.verify.adapters import blackjax, emcee, numpyro
+from mcmc1d.verify.contract import Check, ContractError, ContractReport
+from mcmc1d.verify.engine import LawError, verify
+from mcmc1d.verify.kernels import HostKernel, JaxKernel
+from mcmc1d.verify.law import Continuous, Discrete, Law
+from mcmc1d.verify.ledger import Ledger, Scheme
 from mcmc1d.verify.move import check_move, hard_target
-from mcmc1d.verify.report import Check, ContractError, Report
+from mcmc1d.verify.report import Report, Result, Verdict, VerificationError
 from mcmc1d.verify.technique import check_technique
 
-__all__ = ["Check", "ContractError", "Report", "check_move", "check_technique", "hard_target"]
+__all__ = [
+    "Check",
+    "Continuous",
+    "ContractError",
+    "ContractReport",
+    "Discrete",
+    "HostKernel",
+    "JaxKernel",
+    "Law",
+    "LawError",
+    "Ledger",
+    "Report",
+    "Result",
+    "Scheme",
+    "Verdict",
+    "VerificationError",
+    "blackjax",
+    "check_move",
+    "check_technique",
+    "emcee",
+    "hard_target",
+    "numpyro",
+    "verify",
+]

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from mcmc1d.numerics import jit_with
-from mcmc1d.verify.report import Check, numbers
+from mcmc1d.verify.contract import Check, numbers
 
 quickly = jit_with(xla_backend_optimization_level=0, xla_llvm_disable_expensive_passes=True)
 """For code that is compiled to run a few times: compiling is nearly all of a contract's time."""
@@ -31,16 +31,21 @@ class Points:
     condition: np.ndarray
     free: int = 0
     """How many leading coordinates are those of a sample x and so not confined to [0, 1)."""
+    rounding: np.ndarray | float = 0.0
+    """What the rounding of an intermediate result may do to the outcome; it adds to the tolerance."""
+    cap: float = np.inf
+    """The largest tolerance: where eight roundings amplify to more than that, a point can not be checked."""
 
     @property
     def regular(self) -> np.ndarray:
-        """Where the map has finite derivatives."""
-        return np.asarray(np.isfinite(self.condition))
+        """Where the map has finite derivatives, and few enough digits are lost."""
+        amplified = 8 * np.finfo(self.values.dtype).eps * self.condition
+        return np.asarray(np.isfinite(self.condition) & (amplified <= self.cap))
 
     @property
     def tolerance(self) -> np.ndarray:
         """The tolerance at each point."""
-        return TOLERANCE[self.values.dtype] * self.condition
+        return np.minimum(TOLERANCE[self.values.dtype] * self.condition + self.rounding, self.cap)
 
 
 def condition_number(jacobian: np.ndarray, slope: np.ndarray, log_det: np.ndarray) -> np.ndarray:
@@ -61,6 +66,20 @@ def condition_number(jacobian: np.ndarray, slope: np.ndarray, log_det: np.ndarra
     largest = np.max([np.abs(safe).max((1, 2)), np.abs(inverse).max((1, 2)), steepest], axis=0)
     singular = ~finite | (~invertible & ~np.isfinite(log_det))
     return np.where(singular, np.inf, np.maximum(largest, 1))
+
+
+def steepness(jacobian: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """|d log_det / d image_j| at each point, (n, d): the slope carried through the map; 0 where that is singular."""
+    if jacobian.shape[-1] == 0:
+        return np.zeros(slope.shape)
+    finite = np.isfinite(jacobian).all((1, 2)) & np.isfinite(slope).all(1)
+    safe = np.where(finite[:, None, None], jacobian, 0).astype(np.float64)
+    regular = finite & (np.abs(np.linalg.det(safe)) > 0)
+    safe = np.where(regular[:, None, None], safe, np.eye(slope.shape[1]))
+    carried = np.linalg.solve(
+        safe.transpose(0, 2, 1), np.where(regular[:, None], slope, 0)[..., None].astype(np.float64)
+    )
+    return np.abs(carried[..., 0])
 
 
 def log_abs_det(jacobian: np.ndarray) -> np.ndarray:
@@ -111,7 +130,7 @@ def compare(
         for moved, which in _neighbours(points, missed):
             there = distance(side(moved, which), jax.tree.map(lambda e, which=which: np.asarray(e)[which], expected))
             np.minimum.at(error, which, there)
-    ratio = np.where(look, error / np.where(look, points.tolerance, 1), 0)
+    ratio = np.where(look, error / np.where(look, points.tolerance, 1), -1)  # the worst is a point that was looked at
     worst = int(np.argmax(ratio))
     where = describe(worst) if describe else numbers(points.values[worst])
     passed = bool(ratio[worst] <= 1)

@@ -1,73 +1,192 @@
-"""What a verification says: which equation was checked, where it was worst, against which tolerance."""
+"""What a verification says of a kernel: the verdict, what it rests on, and what it would not have caught."""
 
-from dataclasses import dataclass, field
+import json
+import platform
+from dataclasses import asdict, dataclass, field
+from enum import Enum
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import numpy as np
 
 
+class Verdict(Enum):
+    """PASS, FAIL, or INCONCLUSIVE: the power asked for was out of reach, or a bad start was not forgotten."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    INCONCLUSIVE = "INCONCLUSIVE"
+
+
+class VerificationError(AssertionError):
+    """A kernel did not pass; the message is the report."""
+
+
 @dataclass(frozen=True)
-class Check:
-    """One equation held to one tolerance at many points."""
+class Result:
+    """One test of the deciding stage."""
 
-    equation: str
-    """The equation, in words and symbols."""
-    passed: bool
-    points: int
-    """How many points were compared."""
-    error: float
-    """The error at the worst point: the one with the largest error in units of its tolerance."""
-    tolerance: float
-    """The tolerance at that point."""
-    where: str = ""
-    """The worst point, and both sides of the equation there."""
-    note: str = ""
-    """What the reader must know besides: points left out and why."""
-
-    def __str__(self) -> str:
-        mark = "ok  " if self.passed else "FAIL"
-        line = f"{mark}  {self.equation}: error {self.error:.1e}, tolerance {self.tolerance:.1e}, {self.points} points"
-        if self.where and not self.passed:
-            line += f"\n      worst at {self.where}"
-        if self.note:
-            line += f"\n      {self.note}"
-        return line
-
-
-class ContractError(AssertionError):
-    """A contract is broken; the message is the report."""
+    layer: str
+    name: str
+    steps: int
+    """After how many steps; 0 is the law's own sampler."""
+    p_value: float
+    """Its own, not yet multiplied by the number of tests."""
+    gap: float | None
+    """The smallest CDF gap that it shows at the first stage's level with the stated probability."""
+    where: list[str] = field(default_factory=list)
+    """Where it deviates most."""
+    curve: list[float] | None = None
+    """ECDF minus CDF at equal steps of probability."""
+    residuals: list[float] | None = None
+    """(observed - expected) / s.d. by cell."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """All checks of one object; true where every one passed."""
+    """The verdict on one kernel; true if it passed, printed for a terminal, `to_json` for a certificate."""
 
-    subject: str
-    checks: list[Check] = field(default_factory=list)
+    kernel: str
+    law: str
+    verdict: Verdict
+    reasons: list[str]
+    """Why not PASS; empty if it is."""
+    level: float
+    """The probability that a right kernel fails."""
+    threshold: float
+    """The p-value at or under which one test fails at the first stage."""
+    p_value: float
+    """The first stage's: the smallest of all its tests', times their number."""
+    stages: int
+    """How many were needed."""
+    replicas: int
+    """Independent chains, of all stages."""
+    first_replicas: int
+    """Those of the first stage; `verify(..., replicas=this, seed=seed)` does the same again."""
+    gap: float
+    """The smallest gap in a coordinate's CDF, of the law after so many steps, that is detected..."""
+    power: float
+    """...with at least this probability."""
+    moved: float
+    """The share of replicas that were elsewhere after the last step."""
+    forgotten: int | None
+    """After how many steps from one bad point the law had been reached; None where it was not, or not asked."""
+    seed: int
+    seconds: float
+    steps: tuple[int, ...]
+    results: list[Result] = field(default_factory=list)
+    diagnosis: list[str] = field(default_factory=list)
+    """For a move of this library that fails: which kind of move, between which states."""
 
     @property
     def passed(self) -> bool:
-        """Whether every check passed."""
-        return all(check.passed for check in self.checks)
-
-    @property
-    def failures(self) -> list[Check]:
-        """The checks that did not."""
-        return [check for check in self.checks if not check.passed]
+        """Whether the verdict is PASS."""
+        return self.verdict is Verdict.PASS
 
     def __bool__(self) -> bool:
         return self.passed
 
-    def __str__(self) -> str:
-        head = f"{self.subject}: {'PASS' if self.passed else 'FAIL'}"
-        return "\n".join([head, *(f"  {check}" for check in self.checks)])
+    @property
+    def first_stage(self) -> dict[str, float]:
+        """The deciding stage's p-values by "layer: name after k steps"."""
+        return {f"{r.layer}: {r.name} after {r.steps}": r.p_value for r in self.results}
+
+    @property
+    def failures(self) -> list[Result]:
+        """The tests at or under the threshold, worst first."""
+        return sorted((r for r in self.results if r.p_value <= self.threshold), key=lambda r: r.p_value)
 
     def raise_if_failed(self) -> "Report":
-        """The report itself, or `ContractError` with its text."""
+        """The report itself, or `VerificationError` with its text unless the verdict is PASS."""
         if not self.passed:
-            raise ContractError(str(self))
+            raise VerificationError(str(self))
         return self
 
+    def __str__(self) -> str:
+        lines = [f"{self.verdict.value}  {self.kernel} on {self.law}"]
+        lines += [f"  {reason}" for reason in self.reasons]
+        for result in self.failures[:4]:
+            lines.append(
+                f"  {result.layer}: {result.name} after {_steps(result.steps)}: p = {result.p_value:.1e} "
+                f"(fails at {self.threshold:.1e})"
+            )
+            lines += [f"      {place}" for place in result.where[:3]]
+        if len(self.failures) > 4:
+            lines.append(f"  and {len(self.failures) - 4} more of {len(self.results)} tests")
+        lines += [f"  {line}" for line in self.diagnosis]
+        gap = f"a CDF gap of {self.gap:.2g}" if np.isfinite(self.gap) else "no CDF gap (no statistic is ordered)"
+        lines += [
+            f"  detects    {gap} in the law after any of {', '.join(map(str, self.steps))} steps, "
+            f"with probability {self.power:g}",
+            f"  level      {self.level:.1e}, shared by {len(self.results)} tests; first-stage p = {self.p_value:.2g}, "
+            f"{_count(self.stages, 'stage')}",
+            f"  replicas   {self.replicas:,} exact starts; {self.moved:.1%} moved; "
+            + (f"a bad start forgotten in {self.forgotten}" if self.forgotten else "no bad start forgotten"),
+            f"  again      seed={self.seed}, replicas={self.first_replicas}; took {self.seconds:.1f} s",
+        ]
+        return "\n".join(lines)
 
-def numbers(values: np.ndarray) -> str:
-    """A point for a message, with all the digits that it takes to reproduce it."""
-    return np.array2string(np.asarray(values), separator=", ", floatmode="unique", max_line_width=200)
+    def to_json(self) -> str:
+        """A certificate: everything above, with the versions of what was used."""
+        record = asdict(self) | {"verdict": self.verdict.value, "versions": versions()}
+        return json.dumps(_plain(record), indent=2, allow_nan=False)
+
+    def plot(self) -> Any:
+        """A matplotlib figure: residuals by test and cell, and each ECDF minus its CDF within its simultaneous band."""
+        import matplotlib.pyplot as plt
+
+        curves = [r for r in self.results if r.curve is not None and r.steps > 0]
+        maps = [r for r in self.results if r.residuals is not None and r.steps > 0]
+        figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.4), layout="constrained")
+        width = max((len(r.residuals or []) for r in maps), default=1)
+        image = np.full((max(len(maps), 1), width), np.nan)
+        for row, result in zip(image, maps, strict=False):
+            row[: len(result.residuals or [])] = result.residuals or []
+        limit = max(5.0, float(np.nanmax(np.abs(image))) if np.isfinite(image).any() else 5.0)
+        shown = left.imshow(
+            image, aspect="auto", cmap="PuOr", vmin=-limit, vmax=limit, interpolation="nearest", extent=(0, 1, len(maps), 0)
+        )
+        left.set_yticks(np.arange(len(maps)) + 0.5, [f"{r.name}, {r.steps}" for r in maps], fontsize=6)
+        left.set(xlabel="cells in order, from the first to the last", title="residual by cell (s.d.)")
+        figure.colorbar(shown, ax=left, fraction=0.05)
+        band = float(np.sqrt(np.log(4 / self.threshold) / (2 * self.first_replicas)))
+        right.axhspan(-band, band, color="0.9", label=f"band at {self.threshold:.0e}")
+        last = max((r.steps for r in curves), default=0)
+        shades = plt.get_cmap("viridis")(np.linspace(0, 0.85, max(len(curves), 1)))
+        for shade, result in zip(shades, curves, strict=False):
+            y = np.asarray(result.curve)
+            label = f"{result.name}, {result.steps}" if result.steps == last else None
+            right.plot(np.linspace(0, 1, len(y)), y, color=shade, linewidth=0.9, label=label)
+        right.set(xlabel="exact CDF", ylabel="ECDF − CDF", title=f"{self.verdict.value}: {self.kernel}"[:48])
+        right.legend(fontsize=6, loc="best")
+        return figure
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of every package that may have had a part in the numbers."""
+    found = {"python": platform.python_version()}
+    for package in ("mcmc1d", "jax", "jaxlib", "equinox", "numpy", "scipy", "blackjax", "numpyro", "emcee"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no infinities and no NaN: they become null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value.value if isinstance(value, Enum) else int(value) if isinstance(value, np.integer) else value
+
+
+def _steps(k: int) -> str:
+    return "no step (the law's own sampler)" if k == 0 else _count(k, "step")
+
+
+def _count(k: int, what: str) -> str:
+    return f"{k} {what}{'' if k == 1 else 's'}"

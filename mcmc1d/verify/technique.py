@@ -1,24 +1,19 @@
 """The contract of a technique, checked at machine precision for the very code that runs in production."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
 
 from mcmc1d.numerics import cast, require
-from mcmc1d.quadrature import integrate_box
-from mcmc1d.techniques import Technique, sample_shape
-from mcmc1d.types import Array, Float, Scalar
-from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, quickly
+from mcmc1d.techniques import Technique
+from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, steepness
+from mcmc1d.verify.contract import Check, ContractReport, numbers
+from mcmc1d.verify.density import integral, outside, over_v
+from mcmc1d.verify.maps import Maps
 from mcmc1d.verify.points import cube_points
-from mcmc1d.verify.report import Check, Report, numbers
-
-_V_POINTS = 2**12  # scrambled Sobol points over v, where log_prob is an integral over v and not the determinant
 
 
 def check_technique(
@@ -27,16 +22,17 @@ def check_technique(
     points: int = 10_000,
     seed: int = 0,
     dtypes: Sequence[Any] = (np.float64, np.float32),
-) -> Report:
+) -> ContractReport:
     """Hold a technique to its contract, in each precision, at random points and at the edges of the unit cube.
 
     Both round trips (the second with the x of one point and the v of another, as a jump has them); `forward`'s
     log-determinant against autodiff; `inverse`'s against `forward`'s; `log_prob` against the determinant, pointwise
-    or integrated over v; the integral of the density over `support`; and that nothing leaves the unit cube. The
-    tolerance is 1e-10 (2e-5 in float32) times the point's condition number. Where a derivative is infinite, the
-    report says so and the log-determinant's limit is checked instead.
+    or integrated over v; that both are -inf outside `support`; the integral of the density over `support`; and that
+    nothing leaves the unit cube. The tolerance is 1e-10 (2e-5 in float32) times the point's condition number, and
+    what four roundings of x do to the log-determinant. Where a derivative is infinite, the report says so and the
+    log-determinant's limit is checked instead. Under an infinite support x may be infinite where the density is zero.
 
-    Returns a `Report`, false where a check failed: its text names the broken equation, the worst point and both
+    Returns a `ContractReport`, false where a check failed: its text names the broken equation, the worst point and both
     sides there. `report.raise_if_failed()` is for tests. Raises `ValueError` where the technique is not a map
     between spaces of one dimension.
     """
@@ -45,42 +41,37 @@ def check_technique(
         for dtype in map(np.dtype, dtypes):
             found = _Contract(cast(technique, dtype), dtype, seed).checks(points)
             checks += [replace(check, equation=f"{dtype}: {check.equation}") for check in found]
-        checks.append(_integral(technique))
-    return Report(f"technique {type(technique).__name__}", checks)
+        checks.append(integral(technique))
+    return ContractReport(f"technique {type(technique).__name__}", checks)
 
 
 class _Contract:
     """A technique in one precision."""
 
     def __init__(self, technique: Technique, dtype: np.dtype, seed: int):
-        self.technique, self.dtype, self.seed = technique, dtype, seed
-        self.shape = sample_shape(technique)
-        self.d = int(np.prod(self.shape))
-
-    def forward(self, u: np.ndarray) -> list[np.ndarray]:
-        """(x, v) in one array, log_det, and the derivatives of both with respect to u."""
-        return [np.asarray(a) for a in _over(_Forward(self.technique), jnp.asarray(u, self.dtype))]
-
-    def inverse(self, image: np.ndarray) -> list[np.ndarray]:
-        """u, log_det, and log_prob."""
-        return [np.asarray(a) for a in _over(_Inverse(self.technique, self.shape), jnp.asarray(image, self.dtype))]
+        self.maps, self.seed = Maps(technique, dtype), seed
+        self.technique, self.dtype, self.d = technique, dtype, self.maps.d
 
     def checks(self, count: int) -> list[Check]:
         m = self.technique.dim_u
         u = cube_points(m, count, self.seed, self.dtype, self._edges())
-        image, log_det, jacobian, slope = self.forward(u)
+        image, log_det, jacobian, slope = self.maps.forward(u)
         require(
             image.shape[1] == m,
             f"{type(self.technique).__name__}: u has {m} numbers, but x and v together {image.shape[1]}; what x "
             "forgets of u must be returned as v, and nothing more",
         )
-        at_u = Points(u, condition_number(jacobian, slope, log_det))
-        at_image = Points(image, at_u.condition, free=self.d)
-        back, log_det_back, log_prob = self.inverse(image)
+        condition = condition_number(jacobian, slope, log_det)
+        # The log-determinant is often computed from x: next to a pole of the density the last bit of x, or of v, is
+        # felt in it. Four roundings of each; that a constant is wrong shows at every other point.
+        felt = (steepness(jacobian, slope) * np.abs(np.where(np.isfinite(image), image, 0))).sum(1)
+        at_u = Points(u, condition, rounding=4 * np.finfo(self.dtype).eps * felt)
+        at_image = Points(image, condition, free=self.d)
+        back, log_det_back, log_prob = self.maps.inverse(image)
 
         def at(k: int) -> str:
             return (
-                f"u = {numbers(u[k])}: x = {self._x(image[k])}, v = {numbers(image[k, self.d :])}, "
+                f"u = {numbers(u[k])}: x = {self.maps.x(image[k])}, v = {numbers(image[k, self.d :])}, "
                 f"log_det = {log_det[k]}, autodiff {log_abs_det(jacobian[k : k + 1])[0]}; the inverse gives "
                 f"u = {numbers(back[k])}, log_det = {log_det_back[k]}; log_prob = {log_prob[k]}"
             )
@@ -89,47 +80,63 @@ class _Contract:
         return [
             self._cube(u, image, back, log_prob),
             self._regular(at_u, count),
-            compare("inverse(forward(u)) = u", at_image, lambda p, _: self.inverse(p)[0], u, describe=at),
+            compare("inverse(forward(u)) = u", at_image, lambda p, _: self.maps.inverse(p)[0], u, describe=at),
             compare(
                 "forward's log_det = log|det d(x, v)/du| by autodiff",
                 at_u,
-                lambda p, _: self.forward(p)[1],
+                lambda p, _: self.maps.forward(p)[1],
                 log_abs_det(jacobian),
                 describe=at,
                 note=singular,
             ),
-            compare("inverse's log_det = -forward's", at_image, lambda p, _: self.inverse(p)[1], -log_det, describe=at),
+            compare(
+                "inverse's log_det = -forward's", at_image, lambda p, _: self.maps.inverse(p)[1], -log_det, describe=at
+            ),
             *self._limits(at_u, log_det),
             *self._at_fresh_v(u, image),
             self._density(at_image, log_det_back, log_prob),
+            outside(self.maps, image, self.seed),
         ]
-
-    def _x(self, image: np.ndarray) -> str:
-        return numbers(image[: self.d].reshape(self.shape))
 
     def _edges(self) -> set[float]:
         """The numbers u at which the density's breaks are reached, from the technique's own inverse."""
-        if self.shape != () or not self.technique.breaks:
+        if self.maps.shape != () or not self.technique.breaks:
             return set()
         breaks = np.asarray(self.technique.breaks)[:: max(1, len(self.technique.breaks) // 64)]
         image = np.column_stack([breaks, np.full((len(breaks), self.technique.dim_u - 1), 0.5)])
-        return set(np.unique(self.inverse(image)[0]).tolist())
+        return set(np.unique(self.maps.inverse(image)[0]).tolist())
 
     def _cube(self, u: np.ndarray, image: np.ndarray, back: np.ndarray, log_prob: np.ndarray) -> Check:
-        v = image[:, self.d :]
-        lower, upper = (np.asarray(corner, self.dtype).ravel() for corner in self.technique.support)
-        x = image[:, : self.d]
-        bad = ~np.isfinite(x).all(1) | (x < lower).any(1) | (x > upper).any(1) | np.isnan(log_prob)
-        bad |= ~((v >= 0) & (v < 1)).all(1) | ~((back >= 0) & (back < 1)).all(1)
-        k = int(np.argmax(bad))
-        where = f"u = {numbers(u[k])}: x = {self._x(image[k])}, v = {numbers(v[k])}, back to u = {numbers(back[k])}"
+        """Four conditions in one line; a failure says which of them broke, each with its first point."""
+        x, v = image[:, : self.d], image[:, self.d :]
+        lower, upper = self.maps.corners
+        # Under infinite support u = 0 may well be x = -inf, if no state is ever accepted there: the density is zero.
+        nowhere = np.isinf(x) & np.isinf(np.where(x > 0, upper, lower)) & np.isneginf(log_prob)[:, None]
+        broken = {
+            f"x must be finite and in {self.maps.support}": ~((x >= lower) & (x <= upper) & (np.isfinite(x) | nowhere)),
+            "log_prob must be a number": np.isnan(log_prob)[:, None],
+            "v must be in [0, 1)": ~((v >= 0) & (v < 1)),
+            "the inverse's u must be in [0, 1)": ~((back >= 0) & (back < 1)),
+        }
+        bad = np.any([rows.any(1) for rows in broken.values()], axis=0)
+        told = []
+        for what, rows in broken.items():
+            if rows.any():
+                k = int(np.argmax(rows.any(1)))
+                told.append(
+                    f"u = {numbers(u[k])}: x = {self.maps.x(image[k])}, v = {numbers(v[k])}, log_prob = {log_prob[k]}, "
+                    f"back to u = {numbers(back[k])}; {what}"
+                )
+        count = int(np.isinf(x).any(1).sum())
+        note = f"x is infinite at {count} points, where the density is zero" if count and not bad.any() else ""
         return Check(
             "x is in the support and log_prob is a number; v and the inverse's u are in [0, 1)",
             not bad.any(),
             len(u),
             float(bad.mean()),
             0.0,
-            where,
+            "\n      and ".join(told),
+            note,
         )
 
     def _regular(self, at_u: Points, count: int) -> Check:
@@ -164,7 +171,7 @@ class _Contract:
             near = []
             for step in (eps**0.5, eps**0.75, eps**0.9):
                 moved = np.clip(points + (step * direction).astype(self.dtype), 0, np.nextafter(one, 0 * one))
-                near.append(self.forward(np.resize(moved, at_u.values.shape))[1][: len(points)])
+                near.append(self.maps.forward(np.resize(moved, at_u.values.shape))[1][: len(points)])
             # An infinite limit is approached by growing, a finite one by differences that shrink.
             infinite = np.isinf(claimed)
             growing = (np.sign(near[2]) == np.sign(claimed)) & (np.abs(near[2]) > np.abs(near[0]))
@@ -189,23 +196,24 @@ class _Contract:
             return []
         v = np.random.default_rng(self.seed + 1).permutation(u[:, : image.shape[1] - self.d])
         fresh = np.column_stack([image[:, : self.d], v]).astype(self.dtype)
-        at, log_det, _ = self.inverse(fresh)
-        there, log_det_there, jacobian, slope = self.forward(at)
+        at, log_det, _ = self.maps.inverse(fresh)
+        there, log_det_there, jacobian, slope = self.maps.forward(at)
         points = Points(at, condition_number(jacobian, slope, log_det_there))
 
         def describe(k: int) -> str:
             return (
-                f"x = {self._x(fresh[k])}, v = {numbers(v[k])}: u = {numbers(at[k])}, log_det = {log_det[k]}; forward "
-                f"gives x = {self._x(there[k])}, v = {numbers(there[k, self.d :])}, log_det = {log_det_there[k]}"
+                f"x = {self.maps.x(fresh[k])}, v = {numbers(v[k])}: u = {numbers(at[k])}, log_det = {log_det[k]}; "
+                f"forward gives x = {self.maps.x(there[k])}, v = {numbers(there[k, self.d :])}, "
+                f"log_det = {log_det_there[k]}"
             )
 
         equation = "forward(inverse(x, v)) = (x, v) at a fresh v"
         return [
-            compare(equation, points, lambda p, _: self.forward(p)[0], fresh, describe=describe),
+            compare(equation, points, lambda p, _: self.maps.forward(p)[0], fresh, describe=describe),
             compare(
                 "inverse's log_det = -forward's at a fresh v",
                 points,
-                lambda p, _: self.forward(p)[1],
+                lambda p, _: self.maps.forward(p)[1],
                 -log_det,
                 describe=describe,
             ),
@@ -215,85 +223,11 @@ class _Contract:
         """log_prob against the determinant: pointwise, or else its integral over v at a few dozen of the points."""
 
         def describe(k: int) -> str:
-            return f"x = {self._x(at.values[k])}, v = {numbers(at.values[k, self.d :])}: {log_prob[k]} and {log_det[k]}"
+            x, v = self.maps.x(at.values[k]), numbers(at.values[k, self.d :])
+            return f"x = {x}, v = {v}: {log_prob[k]} and {log_det[k]}"
 
-        pointwise = compare(
-            "log_prob(x) = log|det du/d(x, v)|, pointwise",
-            at,
-            lambda p, _: self.inverse(p)[2],
-            log_det,
-            describe=describe,
-        )
-        k = at.values.shape[1] - self.d
-        if pointwise.passed or k == 0:
+        equation = "log_prob(x) = log|det du/d(x, v)|, pointwise"
+        pointwise = compare(equation, at, lambda p, _: self.maps.inverse(p)[2], log_det, describe=describe)
+        if pointwise.passed or at.values.shape[1] == self.d:
             return pointwise
-        v = qmc.Sobol(k, rng=self.seed).random(_V_POINTS)
-        # Some points as they come, and those where the two differ most: a mistake in one place is looked at there.
-        differ = np.nan_to_num(np.abs(np.where(at.regular, log_prob, 0) - np.where(at.regular, log_det, 0)))
-        rows = np.concatenate([np.arange(32), np.argsort(-differ)[:32]])
-        x = at.values[rows, : self.d]
-        image = np.column_stack([np.repeat(x, _V_POINTS, axis=0), np.tile(v, (len(x), 1))])
-        over_v = np.exp(self.inverse(image)[1].astype(np.float64)).reshape(len(x), -1)
-        averages = over_v.reshape(len(x), 4, -1).mean(2)
-        p = np.exp(log_prob[rows].astype(np.float64))
-        error = np.abs(averages.mean(1) - p)
-        # The four quarters of the points tell how far an average can be off; where nothing varies, nothing can be.
-        varies = np.ptp(over_v, axis=1) > 1e-4 * p
-        quadrature = 6 * averages.std(1, ddof=1) / 2 + 1e-3 * p
-        tolerance = np.where(varies, quadrature, at.tolerance[rows] * np.maximum(p, 1))
-        tolerance = np.where(at.regular[rows], tolerance, np.inf)
-        worst = int(np.argmax(error / tolerance))
-        return Check(
-            "p(x) = integral over v of |det du/d(x, v)|",
-            bool(error[worst] <= tolerance[worst]),
-            len(x),
-            float(error[worst]),
-            float(tolerance[worst]),
-            f"x = {self._x(x[worst])}: p = {p[worst]}, the integral {averages[worst].mean()}",
-            "the determinant depends on v, so it is not the density pointwise; moves use it, weights use log_prob",
-        )
-
-
-class _Forward(eqx.Module):
-    technique: Technique
-
-    def __call__(self, u: Float[Array, " m"]) -> tuple[Array, Scalar, Array, Array]:
-        def flat(u: Float[Array, " m"]) -> tuple[Array, Scalar]:
-            x, v, log_det = self.technique.forward(u)
-            return jnp.concatenate([jnp.ravel(x), v]), log_det
-
-        return *flat(u), *jax.jacfwd(flat)(u)
-
-
-class _Inverse(eqx.Module):
-    technique: Technique
-    shape: tuple[int, ...] = eqx.field(static=True)
-
-    def __call__(self, image: Float[Array, " m"]) -> tuple[Array, Scalar, Scalar]:
-        d = int(np.prod(self.shape))
-        x = image[:d].reshape(self.shape)
-        return *self.technique.inverse(x, image[d:]), self.technique.log_prob(x)
-
-
-class _Density(eqx.Module):
-    technique: Technique
-    shape: tuple[int, ...] = eqx.field(static=True)
-
-    def __call__(self, x: Float[Array, " d"]) -> Scalar:
-        return jnp.exp(self.technique.log_prob(x.reshape(self.shape)))
-
-
-@quickly
-def _over(function: Callable, points: Float[Array, "n m"]) -> Any:
-    return jax.vmap(function)(points)
-
-
-def _integral(technique: Technique) -> Check:
-    """The integral of the density over the support, in float64."""
-    shape = sample_shape(technique)
-    lower, upper = (np.atleast_1d(np.asarray(corner, np.float64)) for corner in technique.support)
-    breaks = [np.array([b]) for b in technique.breaks] if shape == () else []
-    value, error = integrate_box(_Density(technique, shape), lower, upper, breaks)
-    tolerance = min(max(1e-9, 3 * error), 1e-2)
-    where = f"the integral of exp(log_prob) over the support {technique.support} is {value}"
-    return Check("the integral of p is 1", abs(value - 1) <= tolerance, 1, abs(value - 1), tolerance, where)
+        return over_v(self.maps, at, log_prob, self.seed)

@@ -1,0 +1,135 @@
+"""Other libraries' kernels in the form that is verified: BlackJAX, NumPyro, emcee; none of them need be installed."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.numerics import require
+from mcmc1d.verify.kernels import JaxKernel, Look, Subject
+from mcmc1d.verify.law import Law, Position
+
+
+def adapt(kernel: Any, law: Law) -> Any:
+    """The `JaxKernel`, `HostKernel` or `Subject` for a kernel of another library, or for a plain JAX function."""
+    if _has_base(kernel, "emcee.moves.move", "Move"):
+        return emcee(kernel, law)
+    if _has_base(kernel, "numpyro.infer.mcmc", "MCMCKernel"):
+        return numpyro(kernel)
+    if isinstance(kernel, tuple) and hasattr(kernel, "init") and hasattr(kernel, "step"):
+        return blackjax(kernel)
+    require(
+        callable(kernel),
+        f"{kernel!r} is no kernel: give a move of this library, a function step(key, position), a verify.JaxKernel or "
+        "verify.HostKernel, a BlackJAX algorithm, a NumPyro kernel or an emcee move",
+    )
+    return JaxKernel(kernel)
+
+
+def blackjax(algorithm: Any, *, name: str = "", reversible: bool | None = None) -> JaxKernel:
+    """A BlackJAX `SamplingAlgorithm` (`blackjax.nuts(logdensity, ...)`), whose states have a `position`."""
+    import inspect
+
+    required = [
+        parameter
+        for parameter in inspect.signature(algorithm.init).parameters.values()
+        if parameter.default is parameter.empty and parameter.kind is not parameter.VAR_KEYWORD
+    ]
+
+    def init(key: Any, position: Any) -> Any:
+        return algorithm.init(position, key) if len(required) > 1 else algorithm.init(position)
+
+    label = name or "blackjax " + algorithm.init.__qualname__.split(".")[0]
+    return JaxKernel(algorithm.step, init, lambda state: state.position, reversible=reversible, name=label)
+
+
+def numpyro(kernel: Any, *, model_args: tuple = (), model_kwargs: dict | None = None, name: str = "") -> JaxKernel:
+    """A NumPyro kernel, without its warm-up: positions are its unconstrained parameters.
+
+    Switch adaptation off (`adapt_step_size=False, adapt_mass_matrix=False`), or give what warm-up would have found: a
+    kernel that adapts has no stationary law to be tested against.
+    """
+    keywords = {} if model_kwargs is None else model_kwargs
+    field = kernel.sample_field
+
+    def init(key: Any, position: Any) -> Any:
+        return kernel.init(key, 0, position, model_args, keywords)
+
+    def step(key: Any, state: Any) -> Any:
+        if hasattr(state, "rng_key"):  # the kernel keeps its key in its state; a fresh one is as good
+            state = state._replace(rng_key=key)
+        return kernel.sample(state, model_args, keywords)
+
+    label = name or f"numpyro {type(kernel).__name__}"
+    return JaxKernel(step, init, lambda state: getattr(state, field), name=label)
+
+
+def emcee(move: Any, law: Law | None = None, *, walkers: int = 16, log_prob: Callable | None = None) -> "EnsembleSubject":
+    """An emcee move in many small ensembles of so many walkers.
+
+    A right ensemble's law is a product, so that all walkers of all ensembles are independent draws when each started
+    as one. Small ensembles, because a large one hides what walkers do to each other. `log_prob` of positions (n, d),
+    by NumPy, unless the law has a `log_density`.
+    """
+    require(walkers >= 4, f"an ensemble needs 4 walkers at least, not {walkers}")
+    if log_prob is None:
+        require(
+            law is not None and law.log_density is not None,
+            "an emcee move needs the density: give the law a log_density, or call verify.emcee(move, log_prob=...)",
+        )
+        density = law.log_density  # pyright: ignore[reportOptionalMemberAccess]
+        batch = eqx.filter_jit(jax.vmap(density))
+
+        def log_prob(x: np.ndarray) -> np.ndarray:
+            with jax.enable_x64(True):
+                return np.asarray(batch(jnp.asarray(x)))
+
+    return EnsembleSubject(move, walkers, log_prob)
+
+
+class EnsembleSubject(Subject):
+    """An emcee move, run by emcee's own sampler."""
+
+    def __init__(self, move: Any, walkers: int, log_prob: Callable):
+        self.move, self.walkers, self.log_prob = move, walkers, log_prob
+        self.name = f"emcee {type(move).__name__}, {walkers} walkers"
+        self.unit = self.least_unit = walkers * 16
+
+    def check(self, start: Position) -> None:
+        require(
+            hasattr(start, "ndim") and start.ndim <= 2,
+            "an emcee move samples points of shape (d,); the law's positions are a tree of several arrays",
+        )
+        next(self.watch([0], 0, start[: self.walkers], (1,)))
+
+    def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
+        from emcee import EnsembleSampler, State
+
+        points = np.array(start, np.float64).reshape(len(start), -1)
+        states, samplers = [], []
+        for k in range(0, len(points), self.walkers):
+            walkers = points[k : k + self.walkers]
+            samplers.append(EnsembleSampler(*walkers.shape, self.log_prob, moves=[(self.move, 1.0)], vectorize=True))
+            word = np.random.SeedSequence([*seed, first + k]).generate_state(1)[0]
+            states.append(State(walkers, random_state=np.random.RandomState(word).get_state()))
+        done = 0
+        for time in times:
+            for k, sampler in enumerate(samplers):
+                steps = sampler.sample(
+                    states[k], iterations=time - done, store=False, skip_initial_state_check=True
+                )
+                *_, states[k] = steps
+            done = time
+            coordinates = np.concatenate([state.coords for state in states])
+            yield Look(coordinates.reshape(np.shape(start)).copy())
+
+
+def _has_base(kernel: Any, module: str, name: str) -> bool:
+    """Whether a class of this name, from this module, is among the kernel's bases; without importing it."""
+    return any(base.__module__ == module and base.__name__ == name for base in type(kernel).__mro__)
+
+
+__all__ = ["EnsembleSubject", "adapt", "blackjax", "emcee", "numpyro"]

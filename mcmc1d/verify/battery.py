@@ -1,0 +1,441 @@
+"""The tests of one batch of replicas: what is counted, and the p-value of the counts.
+
+Every test only counts, so batches add up in any order; and every p-value is valid at every level and every sample
+size: the DKW bound, exact binomials under a union bound, exact signs of pairs.
+"""
+
+import abc
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from mcmc1d.numerics import require
+from mcmc1d.verify.goodness import cdf_gap, dkw_p_value, p_value, sign_p_value, smallest_gap, smallest_two_sample_gap
+from mcmc1d.verify.kernels import Look
+from mcmc1d.verify.law import Continuous, Discrete, Law, Position
+
+# The CDF of a continuous statistic is looked up at so many equal steps of probability: what lies between them and is
+# missed is a gap of 6e-5 at most, which is added to the smallest detectable one.
+FINE = 2**14
+_POOLED = 64  # cells of a one-sample binomial test: narrow enough for a bump, few enough for the union bound
+_CUTS = 64
+_JOINT = {1: 32, 2: 10, 3: 5}  # cells a coordinate in a joint test, by the number of coordinates
+_PAIRS = 12  # cells of a statistic whose first and last values are compared: 66 pairs
+
+
+@dataclass(frozen=True)
+class Replicas:
+    """What a test may look at: where replicas started, where they are, and fresh exact draws."""
+
+    first: Position
+    look: Look
+    fresh: Position
+    uniform: np.ndarray
+    """(n,), fresh uniform numbers, for choices that a test makes at random."""
+
+
+class Test(abc.ABC):
+    """One statistical test; its counts over independent replicas add up."""
+
+    layer: str
+    """"marginal", "joint", "density", "exchangeability" or "deposits"."""
+    name: str
+
+    @abc.abstractmethod
+    def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
+        """Integer arrays of fixed shapes."""
+
+    @abc.abstractmethod
+    def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
+        """Valid at every level."""
+
+    def gap(self, n: int, level: float, miss: float) -> float | None:
+        """The smallest CDF gap that n replicas show at a level with probability 1 - `miss`; None if none is meant."""
+        return None
+
+    def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
+        """Where the counts differ most from what they should be, in words."""
+        return []
+
+    def curve(self, counts: tuple[np.ndarray, ...]) -> np.ndarray | None:
+        """The ECDF minus the CDF at equal steps of the CDF (or of the cells), for a picture; None if none is meant."""
+        return None
+
+
+@dataclass(frozen=True)
+class OneSample(Test):
+    """A statistic whose exact law is known, at a position or at a deposit."""
+
+    name: str
+    statistic: Continuous | Discrete
+    layer: str = "marginal"
+    deposits: bool = False
+    max_weight: float = 1.0
+    places: np.ndarray | None = None
+    """Values at the pooled cells' ends, to say where a continuous statistic went wrong."""
+
+    @property
+    def masses(self) -> np.ndarray:
+        """Exact probabilities of the cells, one for "nothing was deposited" last where there may be such."""
+        own = (
+            np.full(FINE, 1 / FINE)
+            if isinstance(self.statistic, Continuous)
+            else np.asarray(self.statistic.masses, np.float64) / np.sum(self.statistic.masses)
+        )
+        return np.append(own / self.max_weight, 1 - 1 / self.max_weight) if self.deposits else own
+
+    def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
+        cells = len(self.masses) - self.deposits
+        picked = replicas.look.picked
+        if self.deposits and picked is not None:
+            cell = np.where(picked.none, cells, evaluate(self.name, self.statistic, picked.points))
+        else:
+            cell = evaluate(self.name, self.statistic, replicas.look.positions)
+        # What lies in no cell is counted after them all: it has probability zero, and one is one too many.
+        size = len(self.masses) + 1
+        return (np.bincount(np.where(cell < 0, size - 1, cell), minlength=size),)
+
+    def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
+        inside, outside = counts[0][:-1], counts[0][-1]
+        if outside:
+            return 0.0
+        if not self._ordered:
+            return p_value_of_cells(inside, self.masses)
+        pooled = [pool(part, _POOLED, self.deposits) for part in (inside, self.masses)]
+        return min(1.0, 2 * min(dkw_p_value(inside, self.masses), p_value_of_cells(*pooled)))
+
+    @property
+    def _ordered(self) -> bool:
+        return isinstance(self.statistic, Continuous) or self.statistic.ordered
+
+    def gap(self, n: int, level: float, miss: float) -> float | None:
+        if not self._ordered:
+            return None
+        return self.max_weight * smallest_gap(n, level, miss) + (
+            1 / FINE if isinstance(self.statistic, Continuous) else 0
+        )
+
+    def measured_gap(self, counts: tuple[np.ndarray, ...]) -> float:
+        """The gap of the two CDFs."""
+        return cdf_gap(counts[0][:-1], self.masses)
+
+    def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
+        inside, outside = counts[0][:-1], int(counts[0][-1])
+        found, expected = (pool(part, _POOLED, self.deposits) for part in (inside, self.masses))
+        n = counts[0].sum()
+        said = [f"{outside} of {n} in no cell of the law"] if outside else []
+        deviation = np.sqrt(np.maximum(n * expected * (1 - expected), 1e-300))
+        z = np.where(found == n * expected, 0.0, (found - n * expected) / deviation)
+        for k in np.argsort(-np.abs(z))[:most]:
+            said.append(
+                f"{self._label(int(k), len(found))}: {found[k] / n:.4g}, exact {expected[k]:.4g}"
+                + (f" ({z[k]:+.0f} s.d.)" if abs(z[k]) < 1e6 else "")
+            )
+        return said
+
+    def _label(self, k: int, cells: int) -> str:
+        if self.deposits and k == cells - 1:
+            return "nothing deposited"
+        if self.places is not None:
+            ends = self.places
+            return f"{self.name} in [{ends[k]:.4g}, {ends[k + 1]:.4g}]"
+        labels = self.statistic.labels if isinstance(self.statistic, Discrete) else ()
+        step = max(1, len(labels) // (cells - self.deposits)) if labels else 1
+        return labels[k * step] if labels else f"{self.name}, cell {k}"
+
+    def residuals(self, counts: tuple[np.ndarray, ...]) -> np.ndarray:
+        """(observed - expected) / standard deviation by pooled cell."""
+        found, expected = (pool(part, _POOLED, self.deposits) for part in (counts[0][:-1], self.masses))
+        n = counts[0].sum()
+        return (found - n * expected) / np.sqrt(np.maximum(n * expected * (1 - expected), 1e-12))
+
+    def curve(self, counts: tuple[np.ndarray, ...]) -> np.ndarray | None:
+        if not self._ordered:
+            return None
+        inside = counts[0][: len(self.masses) - self.deposits]
+        difference = np.cumsum(inside / counts[0].sum() - self.masses[: len(inside)])
+        return difference[:: max(1, len(difference) // 256)]
+
+
+@dataclass(frozen=True)
+class TwoSample(Test):
+    """A statistic whose exact law is not written down, against fresh exact draws, pair by pair.
+
+    In cell a where the fresh draw is not, or the reverse: under the hypothesis either is as likely.
+    """
+
+    name: str
+    value: Any
+    """Position -> (n,) numbers."""
+    ends: np.ndarray
+    """Rising inner ends of the cells."""
+    layer: str = "marginal"
+    ordered: bool = True
+    deposits: bool = False
+    max_weight: float = 1.0
+
+    def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
+        cells = len(self.ends) + 1
+        fresh = self._cell(replicas.fresh)
+        if self.deposits and replicas.look.picked is not None:
+            mine = np.where(replicas.look.picked.none, cells, self._cell(replicas.look.picked.points))
+            fresh = np.where(replicas.uniform * self.max_weight < 1, fresh, cells)
+        else:
+            mine = self._cell(replicas.look.positions)
+        size = cells + self.deposits
+        both = np.bincount(mine[mine == fresh], minlength=size)
+        more, less = np.bincount(mine, minlength=size) - both, np.bincount(fresh, minlength=size) - both
+        if self.ordered:
+            # Below a cut are those whose cell is; both are where the larger of the two is.
+            joined = np.cumsum(np.bincount(np.maximum(mine, fresh), minlength=size))[:-1]
+            more = np.concatenate([more, np.cumsum(np.bincount(mine, minlength=size))[:-1] - joined])
+            less = np.concatenate([less, np.cumsum(np.bincount(fresh, minlength=size))[:-1] - joined])
+        return more, less
+
+    def _cell(self, where: Position) -> np.ndarray:
+        return np.searchsorted(self.ends, np.asarray(self.value(where), np.float64), side="right")
+
+    def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
+        return sign_p_value(*counts)
+
+    def gap(self, n: int, level: float, miss: float) -> float | None:
+        if not self.ordered:
+            return None
+        cuts = 2 * (len(self.ends) + self.deposits) + 1
+        return self.max_weight * smallest_two_sample_gap(n, level, cuts, miss)
+
+    def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
+        more, less = (part[: len(self.ends) + 1] for part in counts)
+        z = (more - less) / np.sqrt(np.maximum(more + less, 1))
+        ends = np.concatenate([[-np.inf], self.ends, [np.inf]])
+        order = np.argsort(-np.abs(z))[:most]
+        if not self.ordered:
+            return [f"{self.name}, cell {k}: {z[k]:+.0f} s.d." for k in order]
+        return [f"{self.name} in [{ends[k]:.4g}, {ends[k + 1]:.4g}]: {z[k]:+.0f} s.d." for k in order]
+
+
+@dataclass(frozen=True)
+class Exchangeable(Test):
+    """(first, last) against (last, first), of one statistic: from a to b as often as from b to a, and up as down."""
+
+    name: str
+    value: Any
+    ends: np.ndarray
+    layer: str = "exchangeability"
+
+    def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
+        first, last = (np.asarray(self.value(p), np.float64) for p in (replicas.first, replicas.look.positions))
+        a, b = (np.searchsorted(self.ends, part, side="right") for part in (first, last))
+        cells = len(self.ends) + 1
+        table = np.bincount(a * cells + b, minlength=cells * cells).reshape(cells, cells)
+        return table, np.array([(last > first).sum(), (last < first).sum()])
+
+    def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
+        table, direction = counts
+        upper = np.triu_indices(len(table), 1)
+        return min(1.0, 2 * min(sign_p_value(table[upper], table.T[upper]), sign_p_value(*direction)))
+
+    def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
+        table, direction = counts
+        z = (table - table.T) / np.sqrt(np.maximum(table + table.T, 1))
+        ends = np.concatenate([[-np.inf], self.ends, [np.inf]])
+        said = [f"{self.name} rose {direction[0]} times and fell {direction[1]} times"]
+        for k in np.argsort(-np.triu(z, 1).ravel() ** 2)[:most]:
+            a, b = divmod(int(k), len(table))
+            said.append(
+                f"{self.name} from [{ends[a]:.3g}, {ends[a + 1]:.3g}] to [{ends[b]:.3g}, {ends[b + 1]:.3g}]: "
+                f"{table[a, b]} times, and back {table[b, a]}"
+            )
+        return said
+
+
+def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None, max_weight: float) -> list[Test]:
+    """The tests for a law; `draws`, exact and used for nothing else, set the cells' ends.
+
+    A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are joint cells of up to
+    three coordinates and the density. Auxiliary coordinates named "u" stay out of the joint cells.
+    """
+    known = dict(law.statistics)
+    columns = coordinates(draws)
+    scalar = len(columns) == 1
+    if law.cdf is not None:
+        known |= _marginals(law, columns)
+    elif law.bins is not None:
+        known |= {"x": _binned(law)}
+    tests: list[Test] = []
+    for name, statistic in known.items():
+        layer = "marginal" if isinstance(statistic, Continuous) or statistic.ordered else "joint"
+        places = _places(statistic, draws) if isinstance(statistic, Continuous) else None
+        tests.append(OneSample(name, statistic, layer, places=places))
+        if deposits is not None:
+            tests.append(OneSample(name, statistic, "deposits", True, max_weight, places))
+    for name, values in columns.items():
+        column = _Column(name)
+        ends = _quantiles(values, _CUTS)
+        if name not in known and len(ends):
+            tests.append(TwoSample(name, column, ends))
+            if deposits is not None and name in coordinates(deposits.picked.points):  # pyright: ignore
+                tests.append(TwoSample(name, column, ends, "deposits", deposits=True, max_weight=max_weight))
+        if reversible and len(_quantiles(values, _PAIRS)):
+            tests.append(Exchangeable(name, column, _quantiles(values, _PAIRS)))
+    main = [name for name in columns if name != "u" and not name.startswith("u[")]
+    if len(main) > 1 and not any(isinstance(s, Discrete) and not s.ordered for s in known.values()):
+        for group in _groups(main):
+            inner = tuple((name, _quantiles(columns[name], _JOINT[len(group)])) for name in group)
+            joint = _Joint(inner)
+            ends = np.arange(1, joint.cells) - 0.5
+            tests.append(TwoSample(", ".join(group), joint, ends, "joint", ordered=False))
+    if law.log_density is not None and not scalar:
+        energy = _Energy(jax.jit(jax.vmap(law.log_density)))
+        ends = _quantiles(energy(draws), _CUTS)
+        if len(ends):
+            tests.append(TwoSample("log density", energy, ends, "density"))
+    return tests
+
+
+def coordinates(positions: Position) -> dict[str, np.ndarray]:
+    """Each coordinate of n positions by name, as (n,): "x" or "x[0]", and a tree's own keys."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(positions)
+    result = {}
+    for path, leaf in leaves:
+        name = "".join(str(getattr(key, "key", getattr(key, "idx", getattr(key, "name", key)))) for key in path) or "x"
+        columns = np.asarray(leaf).reshape(len(leaf), -1)
+        if np.ndim(leaf) == 1:
+            result[name] = columns[:, 0]
+        else:
+            result |= {f"{name}[{k}]": columns[:, k] for k in range(columns.shape[1])}
+    return result
+
+
+def evaluate(name: str, statistic: Continuous | Discrete, where: Position) -> np.ndarray:
+    """The cell of each position: (n,) integers, -1 in none. Raises `ValueError` for what is no CDF and no cell."""
+    if isinstance(statistic, Continuous):
+        value = np.asarray(statistic.value(where), np.float64)
+        u = np.asarray(statistic.cdf(value), np.float64)
+        require(u.shape == value.shape, f"the cdf of {name} must return shape {value.shape}, not {u.shape}")
+        bad = ~((u >= -1e-9) & (u <= 1 + 1e-9))
+        require(not bad.any(), f"the cdf of {name} is {u[bad][:1]} at {value[bad][:1]}; it must lie in [0, 1]")
+        return np.clip((u * FINE).astype(np.int64), 0, FINE - 1)
+    cell = np.asarray(statistic.cell(where))
+    require(
+        cell.dtype.kind in "iu" and cell.ndim == 1,
+        f"statistic {name}: cell must return one integer a position, not {cell.dtype} of shape {cell.shape}",
+    )
+    return np.where((cell >= 0) & (cell < len(statistic.masses)), cell, -1)
+
+
+def pool(values: np.ndarray, cells: int, keep_last: bool) -> np.ndarray:
+    """Sums over about so many groups of neighbours; the last entry may be one by itself."""
+    own, rest = (values[:-1], values[-1:]) if keep_last else (values, values[:0])
+    step = max(1, len(own) // cells)
+    return np.concatenate([np.add.reduceat(own, np.arange(0, len(own), step)), rest])
+
+
+def p_value_of_cells(counts: np.ndarray, masses: np.ndarray) -> float:
+    """`goodness.cells_p_value`, cells of probability zero and no hits left out of the union."""
+    from mcmc1d.verify.goodness import cells_p_value
+
+    if np.any((masses <= 0) & (counts > 0)):
+        return 0.0
+    lit = masses > 0
+    return cells_p_value(counts[lit], masses[lit]) if lit.any() else 1.0
+
+
+@dataclass(frozen=True)
+class _Column:
+    """One coordinate."""
+
+    name: str
+
+    def __call__(self, where: Position) -> np.ndarray:
+        return coordinates(where)[self.name]
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """The joint cell of several coordinates."""
+
+    inner: tuple[tuple[str, np.ndarray], ...]
+
+    @property
+    def cells(self) -> int:
+        """How many there are."""
+        return int(np.prod([len(ends) + 1 for _, ends in self.inner]))
+
+    def __call__(self, where: Position) -> np.ndarray:
+        columns = coordinates(where)
+        cell = np.zeros(len(next(iter(columns.values()))), np.int64)
+        for name, ends in self.inner:
+            cell = cell * (len(ends) + 1) + np.searchsorted(ends, columns[name], side="right")
+        return cell
+
+
+@dataclass(frozen=True)
+class _Energy:
+    """The log-density."""
+
+    batch: Any
+
+    def __call__(self, where: Position) -> np.ndarray:
+        return np.asarray(self.batch(where))
+
+
+def _marginals(law: Law, columns: Mapping[str, np.ndarray]) -> dict[str, Continuous]:
+    names, cdf = list(columns), law.cdf
+    assert cdf is not None
+    if len(names) == 1:
+        # A law on the line, whether its positions are (n,) or (n, 1).
+        return {names[0]: Continuous(_Column(names[0]), lambda x: np.ravel(cdf(x)))}
+    d = len(names)
+
+    def marginal(k: int) -> Continuous:
+        def of(x: np.ndarray) -> np.ndarray:
+            # The other columns are of no account to a marginal.
+            out = np.asarray(cdf(np.repeat(x[:, None], d, axis=1)))
+            require(
+                out.shape == (len(x), d),
+                f"{law.name}: cdf must return the {d} marginal CDFs, shape {(len(x), d)}, not {out.shape}",
+            )
+            return out[:, k]
+
+        return Continuous(_Column(names[k]), of)
+
+    return {name: marginal(k) for k, name in enumerate(names)}
+
+
+def _binned(law: Law) -> Discrete:
+    assert law.bins is not None
+    edges, masses = (np.asarray(part, np.float64) for part in law.bins)
+
+    def cell(x: Position) -> np.ndarray:
+        (values,) = coordinates(x).values()
+        k = np.searchsorted(edges, values, side="right") - 1
+        return np.where(values == edges[-1], len(masses) - 1, np.where(k < len(masses), k, -1))
+
+    labels = tuple(f"x in [{a:.4g}, {b:.4g}]" for a, b in zip(edges[:-1], edges[1:], strict=True))
+    return Discrete(cell, masses / masses.sum(), labels, ordered=True)
+
+
+def _places(statistic: Continuous, draws: Position) -> np.ndarray:
+    """The statistic's values at the ends of the pooled cells, as near as the draws tell."""
+    return np.quantile(np.asarray(statistic.value(draws), np.float64), np.linspace(0, 1, _POOLED + 1))
+
+
+def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
+    """Inner ends of about equally probable cells; of discrete values, halfway between the ones that occur."""
+    values = np.asarray(values, np.float64)
+    different = np.unique(values)
+    if len(different) <= cells:
+        return (different[1:] + different[:-1]) / 2
+    ends = np.unique(np.quantile(values, np.arange(1, cells) / cells))
+    return ends[ends > different[0]]
+
+
+def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Which coordinates are looked at jointly: all of up to three, and every neighbouring pair of more."""
+    if len(names) <= 3:
+        return [tuple(names)] + ([(a, b) for a, b in zip(names, names[1:], strict=False)] if len(names) == 3 else [])
+    return list(zip(names, names[1:], strict=False))

@@ -1,0 +1,165 @@
+"""What a technique says of its density: zero outside its support, the determinant's integral over v, and 1 in all."""
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import cubature
+from scipy.stats import qmc
+
+from mcmc1d.numerics import cast
+from mcmc1d.quadrature import integrate_box
+from mcmc1d.techniques import Technique, sample_shape
+from mcmc1d.types import Array, Float, Scalar
+from mcmc1d.verify.compare import Points
+from mcmc1d.verify.contract import Check
+from mcmc1d.verify.maps import Maps
+
+_V_POINTS = 2**14  # scrambled Sobol points over v, where log_prob is an integral over v and not the determinant
+_SOME_V = 2**6  # for a first look, which finds the x to look at closely
+_X_POINTS = 64
+_BEYOND = (1e-3, 0.1, 1.0, 100.0)  # widths of the support; nearer, rounding may tell in or out
+
+
+def outside(maps: Maps, image: np.ndarray, seed: int) -> Check:
+    """Outside the support, and where log_prob says that nothing is, the inverse has no volume either."""
+    rng = np.random.default_rng(seed + 3)
+    lower, upper = maps.corners
+    image = image[np.isfinite(image).all(1)][:64]
+    scale = np.where(np.isfinite(upper - lower), upper - lower, 1)
+    beyond = [np.zeros((0, image.shape[1]), maps.dtype)]
+    for j, (corner, sign) in itertools.product(range(maps.d), ((lower, -1), (upper, 1))):
+        if np.isfinite(corner[j]):
+            for step in _BEYOND:
+                moved = image.copy()
+                moved[:, j] = corner[j] + sign * step * scale[j]
+                beyond.append(moved)
+    out = np.concatenate(beyond)
+    inside = np.zeros((0, image.shape[1]), maps.dtype)
+    if np.isfinite(lower).all() and np.isfinite(upper).all():
+        inside = rng.random((2048, image.shape[1])).astype(maps.dtype)
+        inside[:, : maps.d] = lower + (upper - lower) * inside[:, : maps.d]
+    points = np.concatenate([out, inside])
+    equation = "log_prob is -inf outside the support, and where it is, so is the inverse's log_det"
+    if len(points) == 0:
+        return Check(equation, True, 0, 0.0, 0.0, note="the support has no end")
+    _, log_det, log_prob = maps.inverse(points)
+    must = np.isneginf(log_prob) | (np.arange(len(points)) < len(out))
+    bad = must & ~(np.isneginf(log_prob) & np.isneginf(log_det))
+    k = int(np.argmax(bad))
+    place = f"outside {maps.support}" if k < len(out) else "where the density is zero"
+    where = (
+        f"x = {maps.x(points[k])}, {place}: log_prob = {log_prob[k]}, the inverse's log_det = {log_det[k]}; "
+        "return -inf there (see `techniques.within`), or widen `support`"
+    )
+    return Check(equation, not bad.any(), int(must.sum()), float(bad.mean()), 0.0, where)
+
+
+def over_v(maps: Maps, at: Points, log_prob: np.ndarray, seed: int) -> Check:
+    """p(x) against the mean over v of the inverse's determinant, where the two are not the same pointwise.
+
+    First at many x with few v each; then, with many v, at half as many of those as they come and half that look worst.
+    """
+    k = at.values.shape[1] - maps.d
+    sobol = qmc.Sobol(k, rng=seed)
+    few, many = sobol.random(_SOME_V), qmc.Sobol(k, rng=seed + 1).random(_V_POINTS)
+
+    def determinants(rows: np.ndarray, v: np.ndarray) -> np.ndarray:
+        image = np.column_stack([np.repeat(at.values[rows, : maps.d], len(v), axis=0), np.tile(v, (len(rows), 1))])
+        return np.exp(maps.inverse(image)[1].astype(np.float64)).reshape(len(rows), len(v))
+
+    regular = np.flatnonzero(at.regular)
+    rows = regular[:: max(1, len(regular) // 4096)]
+    p = np.exp(log_prob.astype(np.float64))
+    off = np.abs(determinants(rows, few).mean(1) - p[rows]) / np.maximum(p[rows], 1e-300)
+    worst = rows[np.argsort(-np.nan_to_num(off, nan=np.inf))[: _X_POINTS // 2]]
+    rows = np.concatenate([regular[: _X_POINTS // 2], worst])
+    values = determinants(rows, many)
+    mean, p = values.mean(1), p[rows]
+    # Where nothing varies over v the mean is exact. Elsewhere: the spread of the means of four quarters of the points
+    # (each as even as the whole), and for jumps in v, one of which is off by one of the points at most, eight of them.
+    quarters = values.reshape(len(rows), 4, -1).mean(2)
+    spread = 3 * quarters.std(1, ddof=1) + 8 * np.ptp(values, axis=1) / _V_POINTS
+    tolerance = spread + at.tolerance[rows] * np.maximum(p, 1)
+    error = np.abs(mean - p)
+    ratio = error / tolerance
+    worst = int(np.argmax(np.where(np.isnan(ratio), np.inf, ratio)))
+    detectable = float(np.median(tolerance / np.maximum(p, 1e-300)))
+    return Check(
+        "p(x) = integral over v of |det du/d(x, v)|",
+        bool(error[worst] <= tolerance[worst]),
+        len(rows),
+        float(error[worst]),
+        float(tolerance[worst]),
+        f"x = {maps.x(at.values[rows[worst]])}: p = {p[worst]}, the integral {mean[worst]}",
+        "the determinant depends on v, so it is not the density pointwise; moves use it, weights use log_prob. "
+        f"By {_V_POINTS} points v at each x: p off by more than {detectable:.1e} of itself would have been seen",
+    )
+
+
+class _Density(eqx.Module):
+    technique: Technique
+    shape: tuple[int, ...] = eqx.field(static=True)
+
+    def __call__(self, x: Float[Array, "..."]) -> Scalar:
+        return jnp.exp(self.technique.log_prob(x.reshape(self.shape)))
+
+
+def integral(technique: Technique) -> Check:
+    """The integral of the density over the support, in float64."""
+    shape = sample_shape(technique)
+    density = _Density(technique, shape)
+    lower, upper = (np.asarray(corner, np.float64) for corner in technique.support)
+    hidden = 0.0
+    if shape == () and np.isfinite([lower, upper]).all():
+        inner = [b for b in technique.breaks if lower < b < upper]
+        value, error, hidden = _between(density, np.unique([lower, *inner, upper]))
+    else:
+        breaks = [np.array([b]) for b in technique.breaks] if shape == () else []
+        with np.errstate(invalid="ignore"):
+            value, error = integrate_box(density, np.atleast_1d(lower), np.atleast_1d(upper), breaks)
+    tolerance = float(np.min([np.max([1e-9, 3 * error, 16 * hidden]), 1e-2]))  # NaN if any is
+    where = f"the integral of exp(log_prob) over {Maps(technique, np.dtype(np.float64)).support} is {value}"
+    note = ""
+    if not np.isfinite(value):
+        note = "p is infinite inside: name where in `breaks`"
+    elif tolerance > 1e-8:
+        why = (
+            "float64 can not resolve the pole at an end"
+            if 16 * hidden == tolerance
+            else "of the quadrature's own error"
+        )
+        note = f"an integral that is off by less than {tolerance:.1e} would pass, because {why}"
+    off = float(abs(value - 1))
+    return Check("the integral of p is 1", bool(off <= tolerance), 1, off, tolerance, where, note)
+
+
+def _between(density: _Density, cuts: np.ndarray) -> tuple[float, float, float]:
+    """The integral over all pieces between `cuts`, its error estimate, and the mass within a rounding of the cuts.
+
+    From either end of a piece to its middle, x = end +- half t^4: an integrable pole of any power over -3/4 at the
+    end turns into a smooth function of t.
+    """
+    ends = np.concatenate([cuts[:-1], cuts[1:]])
+    half = np.concatenate([np.diff(cuts), -np.diff(cuts)]) / 2
+    tiny = np.finfo(np.float64).tiny  # what XLA does not flush to zero
+    ulp = np.maximum(np.abs(np.nextafter(ends, ends + half) - ends), tiny)
+    with jax.enable_x64(True):
+        evaluate = eqx.filter_jit(eqx.filter_vmap(cast(density, jnp.float64)))
+
+        def on_nodes(t: np.ndarray) -> np.ndarray:
+            x = ends + half * t**4
+            x = np.where(half > 0, np.maximum(x, nearest), np.minimum(x, nearest))
+            return np.asarray(evaluate(jnp.asarray(x.ravel()))).reshape(x.shape) * np.abs(half) * 4 * t**3
+
+        # The nearest number to each end where p is finite: right at a pole, and a few roundings beside it, it is not.
+        nearest = ends + np.copysign(ulp, half)
+        for roundings in (2, 4, 8, 16, 32):
+            at_ends = np.asarray(evaluate(jnp.asarray(nearest)))
+            nearest = np.where(np.isfinite(at_ends), nearest, ends + np.copysign(roundings * ulp, half))
+        hidden = float(np.sum(np.asarray(evaluate(jnp.asarray(nearest))) * np.abs(nearest - ends)))
+        with np.errstate(invalid="ignore"):  # should p be infinite elsewhere, the error is NaN, and the check fails
+            result = cubature(on_nodes, [0.0], [1.0], rtol=0, atol=1e-11 / len(ends), max_subdivisions=300)
+    return float(result.estimate.sum()), float(result.error.sum()), hidden

@@ -1,0 +1,543 @@
+"""`verify`: a verdict with an error rate, for any kernel whose stationary law is known exactly."""
+
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.numerics import require
+from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates, design
+from mcmc1d.verify.diagnose import diagnose
+from mcmc1d.verify.kernels import LibrarySubject, Look, Picked, Subject, as_subject
+from mcmc1d.verify.law import Law, Position, as_law
+from mcmc1d.verify.ledger import Ledger, Scheme
+from mcmc1d.verify.report import Report, Result, Verdict
+
+AIM = 0.005
+"""The CDF gap that is aimed at unless one is asked for."""
+SETTLE = 0.05
+"""The gap up to which a slow kernel may still PASS, where none was asked for."""
+_LOOKS = 16  # the early look is at this fraction of the first stage
+_CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
+_FORGET_REPLICAS = 8192
+_FORGET_WITHIN = 0.06  # three times the DKW deviation of 8192 draws at probability 1e-3, which is 0.02
+_FORGET_STEPS = 2**14
+
+
+class LawError(ValueError):
+    """The law contradicts itself: its sampler and its exact values disagree."""
+
+
+def verify(
+    kernel: Any,
+    target: Any,
+    *,
+    seed: int = 0,
+    level: float | None = None,
+    gap: float | None = None,
+    power: float = 0.99,
+    seconds: float = 30.0,
+    replicas: int | None = None,
+    steps: Sequence[int] = (1, 4, 16, 64),
+    reversible: bool | None = None,
+    ergodic: bool = True,
+    deposits: Callable | None = None,
+    max_weight: float = 1.0,
+    name: str = "",
+    ledger: Ledger | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Report:
+    """Whether a kernel leaves a law invariant, moves, and gets there; with the error rate of saying so.
+
+    Independent replicas start exactly from the law and are tested after each of `steps` steps: no burn-in, no
+    autocorrelation, p-values that hold far in the tail. Sequential after Gandy and Scott (see `Scheme`); never
+    repeated on failure. The same seed and `replicas` give the same report.
+
+    Arguments:
+        kernel: a move or kernel of this library (`target` a `Multiplexed`); a JAX function `step(key, position)` that
+            returns the position, or (position, info); a `JaxKernel`, a `HostKernel`; a BlackJAX algorithm, a NumPyro
+            kernel, an emcee move.
+        target: a `Law`, a `Multiplexed`, a frozen scipy distribution, or an object with `sample` and `cdf`.
+        level: the probability that a right kernel fails; 1e-5, or the ledger's share.
+        gap, power: detect this CDF gap with this probability, or be INCONCLUSIVE. Without `gap`, 0.005 is aimed at and
+            whatever up to 0.05 the time affords is reported.
+        seconds: what a first stage may take (a kernel that needs less takes less).
+        replicas: how many in the first stage, in place of `gap` and `seconds`.
+        reversible: declare detailed balance, so that (first, last) must be exchangeable. Declared for moves of this
+            library, and for nothing else.
+        ergodic: False for a kernel that is only invariant, such as one half of a Gibbs sweep: then it need not move
+            every coordinate nor forget a bad start.
+        deposits: `(state, info) -> (points, weights)` of a JAX kernel: what an estimator adds up after each step. Its
+            expectation must be the law's; `max_weight` bounds a step's total weight.
+        name: of the test; the random numbers derive from it and from the seed.
+        progress: called with the replicas done and the replicas of the stage.
+
+    Raises `ValueError` for a kernel or a law that can not be run, `LawError` for a law whose sampler and exact values
+    disagree.
+    """
+    began = time.perf_counter()
+    law = as_law(target)
+    subject = as_subject(kernel, target, law, reversible=reversible, deposits=deposits, max_weight=max_weight)
+    require(len(steps) > 0 and list(steps) == sorted(set(steps)) and steps[0] >= 1, f"steps must rise from 1 on: {steps}")
+    require(0.5 <= power < 1, f"power is a probability from 0.5 to 1, not {power}")
+    require(max_weight >= 1, f"max_weight is the largest total weight of a step, 1 or more, not {max_weight}")
+    name = name or f"{subject.name} on {law.name}"
+    if level is None:
+        level = 1e-5 if ledger is None else ledger.share(name)
+    run = _Run(law, subject, Scheme(level), _entropy(seed, name), tuple(steps), power, max_weight, progress)
+    run.prepare()
+    run.size(gap, seconds, replicas)
+    run.decide(ergodic)
+    return run.report(name, seed, gap, replicas, time.perf_counter() - began)
+
+
+@dataclass
+class _Tally:
+    """Counts of all tests over some replicas."""
+
+    n: int = 0
+    counts: dict[tuple[int, int], tuple[np.ndarray, ...]] = field(default_factory=dict)
+    """By (steps, test)."""
+    moved: int = 0
+    still: set[str] = field(default_factory=set)
+    """Coordinates that no replica has moved."""
+    wrong: list[str] = field(default_factory=list)
+    """States that no kernel may return."""
+
+    def add(self, other: "_Tally") -> None:
+        """Take in another tally."""
+        for key, counts in other.counts.items():
+            own = self.counts.get(key)
+            self.counts[key] = counts if own is None else tuple(a + b for a, b in zip(own, counts, strict=True))
+        self.still = other.still if self.n == 0 else self.still & other.still
+        self.n += other.n
+        self.moved += other.moved
+        self.wrong += other.wrong
+
+
+@dataclass
+class _Run:
+    """One verification on its way."""
+
+    law: Law
+    subject: Subject
+    scheme: Scheme
+    seed: tuple[int, ...]
+    steps: tuple[int, ...]
+    power: float
+    max_weight: float
+    progress: Callable[[int, int], None] | None
+    tests: list[Test] = field(default_factory=list)
+    n: int = 0
+    grow: int = 4
+    reasons: list[str] = field(default_factory=list)
+    inconclusive: list[str] = field(default_factory=list)
+    first: _Tally = field(default_factory=_Tally)
+    deciding: _Tally = field(default_factory=_Tally)
+    p_value: float = 1.0
+    stages: int = 0
+    replicas: int = 0
+    forgotten: int | None = None
+
+    # --- before the first stage ---
+
+    def prepare(self) -> None:
+        """Look at the law and the kernel with a few draws, and choose the tests."""
+        draws = self.draw(0, 0, 2 * _FORGET_REPLICAS, 9)
+        few = jax.tree.map(lambda a: a[: self.subject.unit], draws)
+        self.subject.check(few)
+        self.pilot = few
+        look = next(iter(self.subject.watch((*self.seed, 8), 0, few, (1,))))
+        self.tests = design(
+            self.law,
+            draws,
+            reversible=bool(self.subject.reversible),
+            deposits=look if look.picked is not None else None,
+            max_weight=self.max_weight,
+        )
+        own = [(0, k) for k, test in enumerate(self.tests) if isinstance(test, OneSample) and not test.deposits]
+        self.keys = own + [(t, k) for t in self.steps for k in range(len(self.tests))]
+        self.bad = self._bad_start(draws)
+
+    @property
+    def threshold(self) -> float:
+        """The p-value at which one test fails at the first stage."""
+        return self.scheme.first / len(self.keys)
+
+    def gap(self, n: int) -> float:
+        """The smallest gap in any coordinate's CDF that n replicas detect; infinite where none has a CDF."""
+        gaps = [test.gap(n, self.threshold, 1 - self.power) for test in self.tests if _headline(test)]
+        return max((g for g in gaps if g is not None), default=np.inf)
+
+    def size(self, gap: float | None, seconds: float, replicas: int | None) -> None:
+        """Choose how many replicas: what the gap takes, or what the time affords."""
+        aim = AIM if gap is None else gap
+        if replicas is not None:
+            require(replicas >= _LOOKS, f"{replicas} replicas are too few; give {_LOOKS} or more")
+            self.n = replicas
+            return
+        needed = _LOOKS
+        while self.gap(needed) > aim and needed < 2**27:
+            needed = int(needed * 1.02) + 1
+        rate = self._rate()
+        workers = _workers() if self.subject.threads else 1
+        affordable = int(seconds * workers / (rate * self.steps[-1]))
+        if affordable < needed:
+            # A power of two, so that two runs of one kernel on one machine mostly agree on it; and no fourfold stage.
+            needed, self.grow = max(_LOOKS, 1 << max(affordable, 1).bit_length() - 1), 1
+        per_look = -(-needed // _LOOKS)
+        if per_look < self.subject.unit:
+            self.subject.unit = max(self.subject.least_unit, 1 << (per_look - 1).bit_length())
+        self.n = _LOOKS * (-(-per_look // self.subject.unit) * self.subject.unit)
+
+    def _rate(self) -> float:
+        """Seconds a replica and step, compiled: of a few steps of a few replicas."""
+        for again in range(2):  # the first call compiles
+            begin = time.perf_counter()
+            for _ in self.subject.watch((*self.seed, 8), 0, self.pilot, (2, 6)):
+                pass
+            spent = time.perf_counter() - begin
+            if again == 0 and spent > 60:
+                break
+        return spent / (6 * len(jax.tree.leaves(self.pilot)[0]))
+
+    def _bad_start(self, draws: Position) -> Position:
+        """One position that is hard to leave."""
+        if self.law.bad_start is not None:
+            return jax.tree.map(np.asarray, self.law.bad_start)
+        if self.law.log_density is not None:
+            k = int(np.argmin(np.asarray(jax.vmap(self.law.log_density)(draws))))
+        else:
+            first = next(iter(coordinates(draws).values()))
+            k = int(np.argmax(np.abs(first - np.median(first))))
+        return jax.tree.map(lambda a: np.asarray(a)[k], draws)
+
+    # --- one stage ---
+
+    def draw(self, stage: int, chunk: int, n: int, purpose: int) -> Position:
+        """`n` exact draws, in the kernel's precision."""
+        rng = np.random.default_rng([*self.seed, stage, chunk, purpose])
+        drawn = self.law.sample(rng, n)
+        lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(drawn)}
+        require(lengths == {(n,)}, f"{self.law.name}: sample(rng, {n}) must return {n} positions, not {lengths}")
+        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(drawn) if np.asarray(leaf).dtype.kind == "f")
+        require(finite, f"{self.law.name}: sample returned NaN or an infinity")
+        return self.subject.prepare(jax.tree.map(np.asarray, drawn))
+
+    def stage(self, stage: int, n: int, first: int = 0) -> Iterable[_Tally]:
+        """The tallies of a stage's chunks, in their order, as they come in."""
+        size = min(_CHUNK // self.subject.unit * self.subject.unit or self.subject.unit, -(-n // _LOOKS))
+        chunks = [(k, min(size, n - k * size)) for k in range(-(-n // size))]
+        wide = jnp.zeros(()).dtype == jnp.float64
+
+        def work(chunk: tuple[int, int]) -> _Tally:
+            with jax.enable_x64(wide):  # a worker thread does not inherit a context
+                return self.chunk(stage, *chunk)
+
+        if not self.subject.threads:
+            yield from map(work, chunks)
+            return
+        with ThreadPoolExecutor(_workers()) as pool:
+            pending = [pool.submit(work, chunk) for chunk in chunks]
+            try:
+                for future in pending:
+                    yield future.result()
+            finally:
+                for future in pending:
+                    future.cancel()
+
+    def chunk(self, stage: int, chunk: int, n: int) -> _Tally:
+        """Draw, run and count."""
+        start, fresh = self.draw(stage, chunk, n, 0), self.draw(stage, chunk, n, 1)
+        uniform = np.random.default_rng([*self.seed, stage, chunk, 2]).random(n)
+        tally = _Tally(n)
+        for k, test in enumerate(self.tests):
+            if (0, k) in self.keys[: len(self.tests)]:
+                tally.counts[0, k] = test.count(Replicas(start, Look(start), fresh, uniform))
+        unit = self.subject.unit
+        slices = [slice(a, min(a + unit, n)) for a in range(0, n, unit)]
+        parts = [
+            list(
+                self.subject.watch(
+                    (*self.seed, stage, chunk), part.start, jax.tree.map(lambda a, part=part: a[part], start), self.steps
+                )
+            )
+            for part in slices
+        ]
+        for t, looks in zip(self.steps, zip(*parts, strict=True), strict=True):
+            look = _join(looks)
+            tally.wrong += self.inspect(start, look, t)
+            if tally.wrong:
+                return tally
+            for k, test in enumerate(self.tests):
+                tally.counts[t, k] = test.count(Replicas(start, look, fresh, uniform))
+            if t == self.steps[-1]:
+                before, after = coordinates(start), coordinates(look.positions)
+                changed = {name: before[name] != after[name] for name in before}
+                tally.moved = int(np.any(list(changed.values()), axis=0).sum())
+                tally.still = {name for name, change in changed.items() if not change.any()}
+        return tally
+
+    def inspect(self, start: Position, look: Look, t: int) -> list[str]:
+        """What no kernel may return, in words with an example."""
+        before, after = coordinates(start), coordinates(look.positions)
+        for name, values in after.items():
+            bad = ~np.isfinite(values) if values.dtype.kind == "f" else np.zeros(len(values), bool)
+            if bad.any():
+                k = int(np.argmax(bad))
+                return [
+                    f"it returns {values[k]} for {name} in {bad.sum()} of {len(bad)} replicas within "
+                    f"{t} steps, for one from {_point(before, k)}; guard the arithmetic at such points"
+                ]
+        outside = ~inside(self.law, look.positions)
+        if outside.any():
+            k = int(np.argmax(outside))
+            return [
+                f"{outside.sum()} of {len(outside)} replicas leave the support within {t} steps, one from "
+                f"{_point(before, k)} to {_point(after, k)}; reject such proposals"
+            ]
+        picked = look.picked
+        if picked is not None:
+            require(
+                picked.least >= -1e-6 and picked.most <= self.max_weight * (1 + 1e-4),
+                f"the deposits' weights must not be negative and sum to max_weight = {self.max_weight:g} at most; the "
+                f"least is {picked.least:.6g} and the largest total {picked.most:.6g}: give max_weight= their bound",
+            )
+        return []
+
+    # --- the decision ---
+
+    def decide(self, ergodic: bool) -> None:
+        """All stages; then whether it moves, and whether it forgets."""
+        n = self.n
+        for stage in range(1, self.scheme.stages + 1):
+            tally = self._gather(stage, n)
+            self.stages, self.deciding, self.replicas = stage, tally, self.replicas + tally.n
+            if stage == 1:
+                self.first, self.p_value = tally, self.combined(tally)
+            if self.reasons:
+                return
+            verdict = self.scheme.decide(stage, self.combined(tally))
+            if verdict == "fail":
+                self._failed(tally)
+                return
+            if verdict == "pass":
+                break
+            n = n * self.grow if stage == 1 else n
+        if self.deciding.moved == 0:
+            self.reasons.append(f"it never moves: no replica was elsewhere after {self.steps[-1]} steps")
+        elif ergodic and self.deciding.still:
+            self.reasons.append(
+                f"it never moves {', '.join(sorted(self.deciding.still))}; if it is only a part of a kernel, say "
+                "ergodic=False"
+            )
+        elif ergodic:
+            self.forget()
+
+    def _gather(self, stage: int, n: int) -> _Tally:
+        total, looked = _Tally(), False
+        for tally in self.stage(stage, n):
+            if tally.wrong:
+                self.reasons += tally.wrong
+                total.n += tally.n
+                return total
+            total.add(tally)
+            if self.progress is not None:
+                self.progress(total.n, n)
+            if stage == 1 and not looked and total.n * _LOOKS >= n:
+                looked = True
+                if self.combined(total) <= self.scheme.early:
+                    self._failed(total)
+                    return total
+        return total
+
+    def p_values(self, tally: _Tally) -> dict[tuple[int, int], float]:
+        """Each test's own."""
+        return {key: self.tests[key[1]].p_value(tally.counts[key]) for key in self.keys if key in tally.counts}
+
+    def combined(self, tally: _Tally) -> float:
+        """The smallest p-value times the number of tests."""
+        return min(1.0, len(self.keys) * min(self.p_values(tally).values(), default=1.0))
+
+    def _failed(self, tally: _Tally) -> None:
+        values = self.p_values(tally)
+        worst = min(values, key=lambda key: values[key])
+        test = self.tests[worst[1]]
+        if min((p for (t, _), p in values.items() if t == 0), default=1.0) <= self.threshold:
+            where = "; ".join(test.worst(tally.counts[worst], 3))
+            raise LawError(
+                f"{self.law.name}: its sampler and its exact law of {test.name} disagree (p = {values[worst]:.1e} from "
+                f"{tally.n} draws): {where}. Mend the sampler, or the cdf, bins or statistics"
+            )
+        self.reasons.append(
+            f"its {test.layer} law is wrong: {test.name} after {worst[0]} step{'s' * (worst[0] > 1)}"
+            if test.layer != "exchangeability"
+            else f"it is declared reversible and is not: {test.name} after {worst[0]} step{'s' * (worst[0] > 1)}"
+        )
+
+    def forget(self) -> None:
+        """Many chains from one bad point: after how many steps is their law near the right one?"""
+        n = min(_FORGET_REPLICAS, max(self.subject.unit, self.n))
+        start = jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], n, 0), self.bad)
+        within = max(_FORGET_WITHIN, 3 * float(np.sqrt(np.log(2e3) / (2 * n))))
+        fresh = self.draw(0, 0, n, 5)
+        unit, begin = self.subject.unit, time.perf_counter()
+        powers = [4**j for j in range(3, 8) if 4**j <= _FORGET_STEPS]
+        times = [t for power in powers for t in (power, power + 1)]
+        walks = [
+            self.subject.watch((*self.seed, 7), a, jax.tree.map(lambda s, a=a: s[a : a + unit], start), times)
+            for a in range(0, n, unit)
+        ]
+        history, previous = [], None
+        for t, looks in zip(times, zip(*walks, strict=True), strict=True):
+            look = _join(looks)
+            problem = self.inspect(start, look, t)
+            if problem:
+                self.reasons += problem
+                return
+            counts = [(test, test.count(Replicas(start, look, fresh, np.zeros(n)))) for test in self._plain_tests()]
+            distance = max((_distance(test, count, n) for test, count in counts), default=0.0)
+            if t in powers:
+                history.append(f"{distance:.2f} after {t}")
+                if distance <= within:
+                    self.forgotten = t
+                    return
+                previous = counts
+            elif previous is not None:
+                both = [
+                    (test, tuple(a + b for a, b in zip(c, d, strict=True)))
+                    for (test, c), (_, d) in zip(previous, counts, strict=True)
+                ]
+                mixed = max((_distance(test, count, 2 * n) for test, count in both), default=0.0)
+                if distance > within >= mixed and t > _FORGET_STEPS:
+                    self.reasons.append(
+                        f"it is periodic: from {_point(coordinates(start), 0)} the laws after {t - 1} and {t} steps are "
+                        f"{distance:.2f} from the right one, and their mean is not"
+                    )
+                    return
+                if time.perf_counter() - begin > 10 and t * 4 * (time.perf_counter() - begin) / t > 60:
+                    break
+        self.inconclusive.append(
+            f"it has not forgotten a bad start: from {_point(coordinates(start), 0)} its distance in CDF from the law is "
+            f"{', '.join(history)} steps; it is slow, or it can not get everywhere (ergodic=False to leave this out)"
+        )
+
+    def _plain_tests(self) -> list[Test]:
+        return [
+            test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits
+        ]
+
+    # --- what is said ---
+
+    def report(self, name: str, seed: int, gap: float | None, replicas: int | None, seconds: float) -> Report:
+        """The verdict and all that it rests on."""
+        bought = self.gap(self.n)
+        if not self.reasons and replicas is None:
+            limit = SETTLE if gap is None else gap
+            if np.isfinite(bought) and bought > limit * (1 + 1e-9):
+                self.inconclusive.append(
+                    f"a gap of {limit:g} with probability {self.power:g} is out of reach: the time affords {self.n} "
+                    f"replicas, which detect {bought:.2g}; allow more seconds= or a larger gap="
+                )
+        verdict = Verdict.FAIL if self.reasons else Verdict.INCONCLUSIVE if self.inconclusive else Verdict.PASS
+        values = self.p_values(self.deciding)
+        results = []
+        for (t, k), p in values.items():
+            test, counts = self.tests[k], self.deciding.counts[t, k]
+            curve = test.curve(counts)
+            results.append(
+                Result(
+                    layer="law" if t == 0 else test.layer,
+                    name=test.name,
+                    steps=t,
+                    p_value=p,
+                    gap=test.gap(self.n, self.threshold, 1 - self.power),
+                    where=test.worst(counts, 5) if p <= self.threshold else [],
+                    curve=None if curve is None else [float(c) for c in curve],
+                    residuals=[float(r) for r in test.residuals(counts)] if isinstance(test, OneSample) else None,
+                )
+            )
+        diagnosis: list[str] = []
+        if verdict is Verdict.FAIL and isinstance(self.subject, LibrarySubject) and self.deciding.counts:
+            start = self.draw(0, 0, 2**17, 6)
+            diagnosis = diagnose(self.subject, (*self.seed, 6), start)
+        return Report(
+            kernel=self.subject.name,
+            law=self.law.name,
+            verdict=verdict,
+            reasons=self.reasons or self.inconclusive,
+            level=self.scheme.level,
+            threshold=self.threshold,
+            p_value=self.p_value,
+            stages=self.stages,
+            replicas=self.replicas,
+            first_replicas=self.n,
+            gap=bought,
+            power=self.power,
+            moved=self.deciding.moved / max(self.deciding.n, 1),
+            forgotten=self.forgotten,
+            seed=seed,
+            seconds=seconds,
+            steps=self.steps,
+            results=results,
+            diagnosis=diagnosis,
+        )
+
+
+def inside(law: Law, where: Position) -> np.ndarray:
+    """Whether each position lies in the law's support; closed, and as wide as a float's rounding."""
+    n = len(jax.tree.leaves(where)[0])
+    if law.support is None:
+        return np.ones(n, bool)
+    if callable(law.support):
+        return np.asarray(law.support(where), bool)
+    lower, upper = law.support
+    x = np.asarray(where, np.float64).reshape(n, -1)
+    slack = 1e-6 * np.maximum(1, np.abs(x))
+    return np.all((x >= np.ravel(lower) - slack) & (x <= np.ravel(upper) + slack), axis=1)
+
+
+def _headline(test: Test) -> bool:
+    """Whether it is a coordinate's own law, and not that of a chain's primary sample."""
+    return test.layer == "marginal" and test.name != "u" and not test.name.startswith("u[")
+
+
+def _distance(test: Test, counts: tuple[np.ndarray, ...], n: int) -> float:
+    """How far the counted law is from the right one: the CDF gap, or the largest difference of a cell."""
+    if isinstance(test, OneSample):
+        if test.gap(n, 0.5, 0.5) is not None:
+            return test.measured_gap(counts)
+        return float(np.abs(counts[0][:-1] / n - test.masses).max())
+    more, less = counts
+    return float(np.abs(more - less).max() / n)
+
+
+def _join(looks: Sequence[Look]) -> Look:
+    """The looks at several slices as one."""
+    joined = jax.tree.map(lambda *parts: np.concatenate(parts), *(look.positions for look in looks))
+    picked = [look.picked for look in looks if look.picked is not None]
+    if not picked:
+        return Look(joined)
+    points = jax.tree.map(lambda *parts: np.concatenate(parts), *(p.points for p in picked))
+    none = np.concatenate([p.none for p in picked])
+    return Look(joined, Picked(points, none, min(p.least for p in picked), max(p.most for p in picked)))
+
+
+def _point(columns: dict[str, np.ndarray], k: int) -> str:
+    return "(" + ", ".join(f"{name} = {values[k]:.6g}" for name, values in columns.items()) + ")"
+
+
+def _entropy(seed: int, name: str) -> tuple[int, ...]:
+    """Integers from the run's seed and the test's name."""
+    require(seed >= 0, f"a seed is not negative, unlike {seed}")
+    return (seed, *np.frombuffer(name.encode().ljust(-(-len(name.encode()) // 4) * 4), np.uint32).tolist())
+
+
+def _workers() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,193 @@
+"""What a kernel is verified against: a probability law known exactly, by its sampler and its CDF or bin masses."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from mcmc1d.chain import exact_start
+from mcmc1d.numerics import require
+from mcmc1d.state import Multiplexed, State
+
+Position: TypeAlias = Any
+"""A pytree of arrays with a leading axis of n replicas: (n,), (n, d), or a dict or tuple of such."""
+
+SampleFn: TypeAlias = Callable[[np.random.Generator, int], Position]
+
+
+@dataclass(frozen=True)
+class Continuous:
+    """A real function of the position whose exact CDF is known and continuous."""
+
+    value: Callable[[Position], np.ndarray]
+    """Position of n replicas -> (n,)."""
+    cdf: Callable[[np.ndarray], np.ndarray]
+    """(n,) -> (n,), the probability of a value at most this."""
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """A function of the position to cells 0..c-1 whose exact probabilities are known."""
+
+    cell: Callable[[Position], np.ndarray]
+    """Position of n replicas -> (n,) integers; a position in none of the cells is -1."""
+    masses: np.ndarray
+    """(c,), summing to one."""
+    labels: tuple[str, ...] = ()
+    """Names of the cells for reports; numbers unless given."""
+    ordered: bool = False
+    """Whether the cells follow each other on the line, so that a CDF over them means something."""
+
+
+Statistic: TypeAlias = Continuous | Discrete
+
+
+@dataclass(frozen=True)
+class Law:
+    """A probability law of positions, known exactly.
+
+    `sample(rng, n)` draws n independent positions, not by what is under test. `cdf(x)` is, for x of shape
+    (n,), the CDF, and for (n, d) the d marginal CDFs, of the same shape; `bins = (edges, masses)` stands in for it on
+    the line. Whatever else is known goes into `statistics`. Coordinates and joint cells whose exact probabilities are
+    not given are compared with fresh exact draws, at the price of half the sample.
+    """
+
+    sample: SampleFn
+    cdf: Callable[[np.ndarray], np.ndarray] | None = None
+    bins: tuple[np.ndarray, np.ndarray] | None = None
+    statistics: Mapping[str, Statistic] = field(default_factory=dict)
+    log_density: Callable[[Any], Any] | None = None
+    """Of one position, by JAX, up to a constant: its law is tested too, and adapters hand it to kernels."""
+    support: tuple[Any, Any] | Callable[[Position], np.ndarray] | None = None
+    """The corners of a closed box, or a function of n positions to n booleans; a state outside of it is a failure."""
+    bad_start: Position | None = None
+    """One position (without the leading axis) that is hard to leave; the least likely of many draws unless given."""
+    name: str = "law"
+
+    def __post_init__(self):
+        require(callable(self.sample), f"{self.name}: sample must be a function (rng, n) -> positions")
+        for name, statistic in self.statistics.items():
+            require(
+                isinstance(statistic, Continuous | Discrete),
+                f"{self.name}: statistic {name!r} must be a Continuous or a Discrete, not {type(statistic).__name__}",
+            )
+        if self.bins is not None:
+            edges, masses = (np.asarray(part, np.float64) for part in self.bins)
+            require(
+                edges.ndim == 1 and masses.shape == (len(edges) - 1,) and bool(np.all(np.diff(edges) > 0)),
+                f"{self.name}: bins must be (n + 1 rising edges, n masses), not {edges.shape} and {masses.shape}",
+            )
+            require(
+                bool(np.all(masses >= 0)) and masses.sum() > 0, f"{self.name}: the masses must not be negative, nor all 0"
+            )
+
+
+def as_law(target: Any) -> Law:
+    """A `Law` from what users have: a Law, a `Multiplexed` target, a frozen scipy distribution, or an object.
+
+    An object needs `sample` and one of `cdf`, `bins`, `statistics`; the other fields are taken where it has them.
+    Raises `ValueError` for anything else.
+    """
+    if isinstance(target, Law):
+        return target
+    if isinstance(target, Multiplexed):
+        return multiplexed_law(target)
+    if callable(getattr(target, "rvs", None)) and callable(getattr(target, "cdf", None)):
+        return _scipy_law(target)
+    names = ("cdf", "bins", "statistics", "log_density", "support", "bad_start", "name")
+    given = {name: getattr(target, name) for name in names if getattr(target, name, None) is not None}
+    require(
+        callable(getattr(target, "sample", None)) and not isinstance(target, type),
+        f"a target to verify against must be a verify.Law (sample=, cdf=), a Multiplexed, a frozen scipy distribution or "
+        f"an object with `sample` and `cdf`, not {target!r}",
+    )
+    return Law(sample=target.sample, **({"name": type(target).__name__} | given))
+
+
+def _scipy_law(distribution: Any) -> Law:
+    """A frozen distribution of scipy.stats: continuous, or on integers."""
+    name = getattr(getattr(distribution, "dist", distribution), "name", type(distribution).__name__)
+    lower, upper = distribution.support()
+    if hasattr(distribution, "pmf"):
+        first, last = (int(end) for end in distribution.ppf([1e-12, 1 - 1e-12]))
+        masses = distribution.pmf(np.arange(first, last + 1))
+        cells = Discrete(
+            lambda x: np.where((x >= first) & (x <= last), x - first, -1).astype(np.int64),
+            masses / masses.sum(),
+            tuple(str(k) for k in range(first, last + 1)),
+            ordered=True,
+        )
+        return Law(
+            sample=lambda rng, n: distribution.rvs(n, random_state=rng),
+            statistics={"x": cells},
+            support=(lower, upper),
+            name=name,
+        )
+    return Law(
+        sample=lambda rng, n: distribution.rvs(n, random_state=rng),
+        cdf=distribution.cdf,
+        support=(lower, upper),
+        name=name,
+    )
+
+
+_BINS = 256
+_JOINT_BINS = 32
+
+
+def multiplexed_law(target: Multiplexed) -> Law:
+    """The law of a chain's (index, x, u) under w_i f / p_i, drawn by rejection.
+
+    A scalar x is held to `target.target.bin_masses` and (index, x) to `target.joint_masses`; u to fresh exact draws.
+    """
+    lower, upper = target.target.domain
+
+    def sample(rng: np.random.Generator, n: int) -> Position:
+        state = exact_start(jax.random.key(int(rng.integers(2**32))), target, n)
+        return positions(target, state)
+
+    if np.ndim(lower) > 0:
+        return Law(sample=sample, name=type(target.target).__name__)
+    edges = np.linspace(lower, upper, _BINS + 1)
+    masses = target.target.bin_masses(edges)
+    coarse = np.linspace(lower, upper, _JOINT_BINS + 1)
+    statistics: dict[str, Statistic] = {
+        "x": Discrete(
+            lambda p: _bin(p["x"], edges),
+            masses / masses.sum(),
+            tuple(f"x in [{a:.4g}, {b:.4g}]" for a, b in zip(edges[:-1], edges[1:], strict=True)),
+            ordered=True,
+        )
+    }
+    if target.n_techniques > 1:
+        joint = target.joint_masses(coarse)
+        statistics["index, x"] = Discrete(
+            lambda p: np.asarray(p["index"]) * _JOINT_BINS + _bin(p["x"], coarse),
+            joint.ravel(),
+            tuple(
+                f"technique {i}, x in [{coarse[b]:.4g}, {coarse[b + 1]:.4g}]"
+                for i in range(target.n_techniques)
+                for b in range(_JOINT_BINS)
+            ),
+        )
+    return Law(sample=sample, statistics=statistics, name=type(target.target).__name__)
+
+
+def positions(target: Multiplexed, state: State) -> Position:
+    """What is tested of a batch of states: the technique's index, the sample x and the primary sample u."""
+    evaluated = state if state.eval is not None else _evaluate(target, state)
+    return {"index": np.asarray(evaluated.index), "x": np.asarray(evaluated.seen.x), "u": np.asarray(evaluated.u)}
+
+
+@eqx.filter_jit
+def _evaluate(target: Multiplexed, state: State) -> State:
+    return jax.vmap(target.evaluate)(state)
+
+
+def _bin(x: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    cell = np.searchsorted(edges, np.asarray(x, np.float64), side="right") - 1
+    # A float32 that rounds to the last edge lies in the last bin.
+    return np.where(np.asarray(x) == edges[-1], len(edges) - 2, np.where(cell < len(edges) - 1, cell, -1))

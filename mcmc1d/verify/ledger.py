@@ -1,0 +1,77 @@
+"""The levels: one family-wise false-alarm rate for a whole run, and the sequential scheme that spends a share of it."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from mcmc1d.numerics import require
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Gandy and Scott's sequential test (2020, "Unit testing for MCMC and other Monte Carlo methods"), with a look.
+
+    At stage j, with p the combined p-value of m tests: p <= beta_j fails; p > gamma + beta_j passes; between the two,
+    fresh draws and beta_(j+1) = beta_j / gamma; the last stage passes. beta_1 = rest / stages and gamma = beta_1 **
+    (1 / stages), so that each stage adds beta_1 to the false-alarm rate. Before the first stage ends, a sixteenth of
+    its replicas are looked at: they can only fail, at a tenth of the level, so that gross errors are found at once.
+    """
+
+    level: float = 1e-5
+    stages: int = 7
+    look: float = 0.1
+    """The share of the level that is spent on the early look."""
+
+    def __post_init__(self):
+        require(0 < self.level < 0.5, f"the level must lie between 0 and 0.5, not at {self.level}")
+        require(self.stages >= 1, f"there must be one stage at least, not {self.stages}")
+
+    @property
+    def early(self) -> float:
+        """The combined p-value at or under which the look fails."""
+        return self.level * self.look
+
+    @property
+    def first(self) -> float:
+        """beta_1, what a failure at the first stage needs."""
+        return self.level * (1 - self.look) / self.stages
+
+    @property
+    def gamma(self) -> float:
+        """The probability with which a right kernel goes on to another stage."""
+        return self.first ** (1 / self.stages)
+
+    def decide(self, stage: int, p: float) -> Literal["fail", "pass", "more"]:
+        """What the combined p-value of a stage (from 1 on) says."""
+        beta = self.first / self.gamma ** (stage - 1)
+        if p <= beta:
+            return "fail"
+        return "pass" if p > self.gamma + beta or stage == self.stages else "more"
+
+
+@dataclass
+class Ledger:
+    """Deals out one family-wise false-alarm rate among the verifications of a run, however many there will be.
+
+    The k-th gets total / (k (k + 1)), which sums to the total; or all alike, where their number is given. Shares are
+    never given back.
+    """
+
+    total: float = 1e-4
+    expected: int | None = None
+    """How many verifications there will be; asking for more shares is an error."""
+    spent: dict[str, float] = field(default_factory=dict)
+
+    def share(self, name: str) -> float:
+        """The level of the verification of this name; a name asks once."""
+        require(name not in self.spent, f"the ledger has already dealt a share to {name!r}; give each a name of its own")
+        k = len(self.spent) + 1
+        require(
+            self.expected is None or k <= self.expected,
+            f"the ledger was made for {self.expected} verifications, and {name!r} would be one more",
+        )
+        self.spent[name] = self.total / (k * (k + 1) if self.expected is None else self.expected)
+        return self.spent[name]
+
+    def __str__(self) -> str:
+        lines = [f"  {level:.2e}  {name}" for name, level in self.spent.items()]
+        return "\n".join([f"family-wise level {self.total:.1e}, spent {sum(self.spent.values()):.2e}:", *lines])

@@ -1,0 +1,154 @@
+"""What the contract of a technique sees outside the support, at poles and at zeros, and in what v says of x."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mcmc1d.techniques import Inversion, Mixture, RaisedSinusoid, Ramp, Technique, Tent, within
+from mcmc1d.verify import check_technique
+from mcmc1d.verify.mutants.mixtures import PriorLobe
+
+
+class Kumaraswamy(Inversion):
+    """a b x^(a-1) (1 - x^a)^(b-1): poles at both ends where a and b are under 1."""
+
+    a: float
+    b: float
+    factor: float = 1.0
+
+    def quantile(self, u):
+        return (1 - (1 - u) ** (1 / self.b)) ** (1 / self.a)
+
+    def cdf(self, x):
+        return 1 - (1 - x**self.a) ** self.b
+
+    def log_prob(self, x):
+        a, b = self.a, self.b
+        return within(x, jnp.log(self.factor * a * b) + (a - 1) * jnp.log(x) + (b - 1) * jnp.log1p(-(x**a)))
+
+
+class Normal(Inversion):
+    """The normal density on the whole line: x is -inf at u = 0."""
+
+    support = (-np.inf, np.inf)
+    beyond: float = 0.0
+
+    def quantile(self, u):
+        return jax.scipy.special.ndtri(u)
+
+    def cdf(self, x):
+        return jax.scipy.special.ndtr(x)
+
+    def log_prob(self, x):
+        return -x * x / 2 - 0.5 * jnp.log(2 * jnp.pi)
+
+
+class Unfenced(Technique):
+    """A tent that forgets where it ends, in one of the two places that must know."""
+
+    density: bool
+    dim_u = 1
+
+    def forward(self, u):
+        return Tent(0.3).forward(u)
+
+    def inverse(self, x, v):
+        u, log_det = Tent(0.3).inverse(x, v)
+        return u, log_det if self.density else jnp.where(log_det > -jnp.inf, log_det, 0)
+
+    def log_prob(self, x):
+        log_p = Tent(0.3).log_prob(x)
+        return jnp.where((x < 0) | (x > 1), -1.0, log_p) if self.density else log_p
+
+
+class Elsewhere(Inversion):
+    """On [1, 3], and does not say so."""
+
+    def quantile(self, u):
+        return 1 + 2 * u
+
+    def cdf(self, x):
+        return (x - 1) / 2
+
+    def log_prob(self, x):
+        return within(x, jnp.full_like(x, -jnp.log(2.0)), 1, 3)
+
+
+class PriorLobeRight(Technique):
+    """The lobe chosen by the prior, with its own determinant -log p_lobe: right, and not the density pointwise."""
+
+    mixture: Mixture
+    claimed: Mixture
+
+    @property
+    def dim_u(self):
+        return self.mixture.dim_u
+
+    def forward(self, u):
+        x, v, _ = PriorLobe(self.mixture).forward(u)
+        return x, v, -self.inverse(x, v)[1]
+
+    def inverse(self, x, v):
+        u, _ = PriorLobe(self.mixture).inverse(x, v)
+        log_p = [lobe.log_prob(x) for lobe in self.mixture.lobes]
+        return u, jnp.where(v[0] < self.mixture.weights[0], log_p[0], log_p[1])
+
+    def log_prob(self, x):
+        return self.claimed.log_prob(x)
+
+
+def lobes(weight):
+    return Mixture((RaisedSinusoid(0.9), Ramp(1.5)), (weight, 1 - weight))
+
+
+def failed(technique, equation):
+    return [failure for failure in check_technique(technique, points=1000).failures if equation in failure.equation]
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.5, 0.5), (2.0, 0.5), (0.5, 2.0), (0.4, 0.6)])
+def test_a_pole_at_either_end_is_no_mistake(a, b):
+    check_technique(Kumaraswamy(a, b)).raise_if_failed()
+
+
+def test_the_integral_next_to_a_pole_is_sharp_and_the_report_says_how_sharp():
+    assert "off by less than 4.2e-08 would pass" in str(check_technique(Kumaraswamy(0.5, 0.5), points=100))
+    assert failed(Kumaraswamy(0.5, 0.5, 1 + 1e-6), "the integral of p is 1")
+    assert failed(Kumaraswamy(0.5, 2.0, 1 + 1e-8), "the integral of p is 1")
+
+
+@pytest.mark.parametrize("factor", [0.99, 1.001])
+def test_float32_is_not_blinded_by_the_allowance_for_poles(factor):
+    wrong = eqx.tree_at(lambda t: t.factor, Kumaraswamy(0.5, 0.5), factor)
+    assert [f for f in failed(wrong, "forward's log_det = log|det") if f.equation.startswith("float32")]
+
+
+def test_an_infinite_sample_where_the_density_is_zero_is_allowed_and_said():
+    report = check_technique(Normal())
+    assert report.raise_if_failed()
+    assert "x is infinite at 1 points, where the density is zero" in str(report)
+
+
+@pytest.mark.parametrize("density", [True, False])
+def test_outside_the_support_both_densities_are_zero(density):
+    failure = failed(Unfenced(density), "outside the support")[0]
+    assert "outside the support [0.0, 1.0], the default" in failure.where
+
+
+def test_a_sample_outside_the_default_support_says_that_it_is_the_default():
+    failure = failed(Elsewhere(), "x is in the support")[0]
+    assert "x must be finite and in the support [0.0, 1.0], the default: define `support`" in failure.where
+    assert "v must be" not in failure.where
+
+
+def test_where_v_says_something_of_x_the_density_is_the_integral_over_v():
+    report = check_technique(PriorLobeRight(lobes(0.3), lobes(0.3)), points=1000)
+    assert report.raise_if_failed()
+    assert "p off by more than" in str(report)
+
+
+@pytest.mark.parametrize("claimed", [0.7, 0.302])
+def test_a_wrong_density_there_is_caught_though_it_integrates_to_one(claimed):
+    report = check_technique(PriorLobeRight(lobes(0.3), lobes(claimed)), points=1000)
+    assert {failure.equation.partition(": ")[2][:19] for failure in report.failures} == {"p(x) = integral ove"}
