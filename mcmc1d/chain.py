@@ -23,6 +23,8 @@ _DEPOSITS_PER_DRAIN = 2**22  # before a drain into float64; within it the sums a
 _STEPS_PER_DRAIN = 2**16  # so that a single chain, too, reports its progress
 
 
+_CANDIDATES = 2**16  # for exact starts, at once: one size, so that one program serves every count
+
 # The counter of the numbers that are no step's: whatever key a user starts and runs with, none is used twice.
 _DRAWS = 2**31 - 1
 
@@ -197,7 +199,7 @@ def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normal
 
 
 def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) -> State:
-    """`count` independent states drawn exactly from the target by rejection: no burn-in, no inverse is trusted.
+    """`count` independent evaluated states, drawn exactly from the target by rejection: no burn-in, no inverse trusted.
 
     The bound is the largest density among 2**16 probes, with a quarter to spare; should a candidate exceed it, it is
     raised and everything is drawn again. A peak that all of the probes and candidates miss is missed. Raises
@@ -206,22 +208,22 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) ->
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     target = cast(target, dtype)
     probe_key, key = jax.random.split(key)
-    bound = 1.25 * float(np.max(_draw(probe_key, target, 2**16, dtype)[1]))
+    bound = 1.25 * float(np.max(_draw(probe_key, target, _CANDIDATES, dtype)[1]))
     require(
         bound > 0, f"{type(target.target).__name__}: the density is zero at all of 65536 probes; nothing to start from"
     )
-    batch = int(np.clip(2 * count, 1024, 2**18))
     kept: list[State] = []
     found, attempt = 0, 0
     while found < count:
-        state, density, uniform = _draw(jax.random.fold_in(key, attempt), target, batch, dtype)
+        state, density, uniform = _draw(jax.random.fold_in(key, attempt), target, _CANDIDATES, dtype)
         attempt += 1
         density = np.asarray(density, np.float64)
         if not np.isfinite(density).all():
             worst = np.asarray(state.u)[np.argmax(~np.isfinite(density))]
             raise ValueError(f"{type(target.target).__name__}: the density is not finite at u = {worst}")
         require(
-            attempt <= 10_000, f"exact_start: {found} of {count} states after {attempt * batch} candidates; give start="
+            attempt <= 10_000,
+            f"exact_start: {found} of {count} states after {attempt * _CANDIDATES} candidates; give start=",
         )
         if density.max() > bound:
             bound, kept, found = 1.25 * float(density.max()), [], 0
@@ -243,9 +245,8 @@ def _draw(
     """States uniform on (i, u), their densities, and a uniform number for each."""
     numbers = uniforms(key, _DRAWS, (target.dim_u + 2, count), dtype)
     index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
-    state = State(index, numbers[2:].T)
-    density = jax.vmap(lambda s: jnp.exp(target.evaluate(s).seen.log_c))(state)
-    return state, density, numbers[1]
+    state = jax.vmap(target.evaluate)(State(index, numbers[2:].T))
+    return state, jnp.exp(state.seen.log_c), numbers[1]
 
 
 # XLA's default is half the width of a CPU's vectors where it has AVX-512; without it, and on a GPU, this is ignored.

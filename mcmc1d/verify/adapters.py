@@ -67,7 +67,9 @@ def numpyro(kernel: Any, *, model_args: tuple = (), model_kwargs: dict | None = 
     return JaxKernel(step, init, lambda state: getattr(state, field), name=label)
 
 
-def emcee(move: Any, law: Law | None = None, *, walkers: int = 16, log_prob: Callable | None = None) -> "EnsembleSubject":
+def emcee(
+    move: Any, law: Law | None = None, *, walkers: int = 16, log_prob: Callable | None = None
+) -> "EnsembleSubject":
     """An emcee move in many small ensembles of so many walkers.
 
     A right ensemble's law is a product, so that all walkers of all ensembles are independent draws when each started
@@ -118,9 +120,7 @@ class EnsembleSubject(Subject):
         done = 0
         for time in times:
             for k, sampler in enumerate(samplers):
-                steps = sampler.sample(
-                    states[k], iterations=time - done, store=False, skip_initial_state_check=True
-                )
+                steps = sampler.sample(states[k], iterations=time - done, store=False, skip_initial_state_check=True)
                 *_, states[k] = steps
             done = time
             coordinates = np.concatenate([state.coords for state in states])

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from mcmc1d.numerics import require
-from mcmc1d.verify.goodness import cdf_gap, dkw_p_value, p_value, sign_p_value, smallest_gap, smallest_two_sample_gap
+from mcmc1d.verify.goodness import cdf_gap, dkw_p_value, sign_p_value, smallest_gap, smallest_two_sample_gap
 from mcmc1d.verify.kernels import Look
 from mcmc1d.verify.law import Continuous, Discrete, Law, Position
 
@@ -224,6 +224,8 @@ class Exchangeable(Test):
     name: str
     value: Any
     ends: np.ndarray
+    still: float
+    """A change that is no larger is none: a jump that comes back to where it was does so but for rounding."""
     layer: str = "exchangeability"
 
     def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
@@ -231,7 +233,7 @@ class Exchangeable(Test):
         a, b = (np.searchsorted(self.ends, part, side="right") for part in (first, last))
         cells = len(self.ends) + 1
         table = np.bincount(a * cells + b, minlength=cells * cells).reshape(cells, cells)
-        return table, np.array([(last > first).sum(), (last < first).sum()])
+        return table, np.array([(last - first > self.still).sum(), (first - last > self.still).sum()])
 
     def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
         table, direction = counts
@@ -243,7 +245,7 @@ class Exchangeable(Test):
         z = (table - table.T) / np.sqrt(np.maximum(table + table.T, 1))
         ends = np.concatenate([[-np.inf], self.ends, [np.inf]])
         said = [f"{self.name} rose {direction[0]} times and fell {direction[1]} times"]
-        for k in np.argsort(-np.triu(z, 1).ravel() ** 2)[:most]:
+        for k in np.argsort(-(np.triu(z, 1).ravel() ** 2))[:most]:
             a, b = divmod(int(k), len(table))
             said.append(
                 f"{self.name} from [{ends[a]:.3g}, {ends[a + 1]:.3g}] to [{ends[b]:.3g}, {ends[b + 1]:.3g}]: "
@@ -279,8 +281,9 @@ def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None
             tests.append(TwoSample(name, column, ends))
             if deposits is not None and name in coordinates(deposits.picked.points):  # pyright: ignore
                 tests.append(TwoSample(name, column, ends, "deposits", deposits=True, max_weight=max_weight))
-        if reversible and len(_quantiles(values, _PAIRS)):
-            tests.append(Exchangeable(name, column, _quantiles(values, _PAIRS)))
+        ends = _quantiles(values, _PAIRS)
+        if reversible and len(ends):
+            tests.append(Exchangeable(name, column, ends, 1e-4 * float(np.ptp(np.quantile(values, [0.05, 0.95])))))
     main = [name for name in columns if name != "u" and not name.startswith("u[")]
     if len(main) > 1 and not any(isinstance(s, Discrete) and not s.ordered for s in known.values()):
         for group in _groups(main):

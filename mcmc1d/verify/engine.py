@@ -28,6 +28,7 @@ _CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
 _FORGET_REPLICAS = 8192
 _FORGET_WITHIN = 0.06  # three times the DKW deviation of 8192 draws at probability 1e-3, which is 0.02
 _FORGET_STEPS = 2**14
+_PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis")
 
 
 class LawError(ValueError):
@@ -80,11 +81,14 @@ def verify(
 
     Raises `ValueError` for a kernel or a law that can not be run, `LawError` for a law whose sampler and exact values
     disagree.
+
     """
     began = time.perf_counter()
     law = as_law(target)
     subject = as_subject(kernel, target, law, reversible=reversible, deposits=deposits, max_weight=max_weight)
-    require(len(steps) > 0 and list(steps) == sorted(set(steps)) and steps[0] >= 1, f"steps must rise from 1 on: {steps}")
+    require(
+        len(steps) > 0 and list(steps) == sorted(set(steps)) and steps[0] >= 1, f"steps must rise from 1 on: {steps}"
+    )
     require(0.5 <= power < 1, f"power is a probability from 0.5 to 1, not {power}")
     require(max_weight >= 1, f"max_weight is the largest total weight of a step, 1 or more, not {max_weight}")
     name = name or f"{subject.name} on {law.name}"
@@ -149,11 +153,11 @@ class _Run:
 
     def prepare(self) -> None:
         """Look at the law and the kernel with a few draws, and choose the tests."""
-        draws = self.draw(0, 0, 2 * _FORGET_REPLICAS, 9)
+        draws = self.draw("design", 0, 0, 2 * _FORGET_REPLICAS)
         few = jax.tree.map(lambda a: a[: self.subject.unit], draws)
         self.subject.check(few)
         self.pilot = few
-        look = next(iter(self.subject.watch((*self.seed, 8), 0, few, (1,))))
+        look = next(iter(self.subject.watch(self.words("pilot"), 0, few, (1,))))
         self.tests = design(
             self.law,
             draws,
@@ -171,8 +175,13 @@ class _Run:
         return self.scheme.first / len(self.keys)
 
     def gap(self, n: int) -> float:
-        """The smallest gap in any coordinate's CDF that n replicas detect; infinite where none has a CDF."""
-        gaps = [test.gap(n, self.threshold, 1 - self.power) for test in self.tests if _headline(test)]
+        """The smallest gap that n replicas detect in any coordinate whose CDF is known, or else in any at all.
+
+        Infinite where no coordinate is ordered.
+        """
+        headline = [test for test in self.tests if _headline(test)]
+        exact = [test for test in headline if isinstance(test, OneSample)]
+        gaps = [test.gap(n, self.threshold, 1 - self.power) for test in exact or headline]
         return max((g for g in gaps if g is not None), default=np.inf)
 
     def size(self, gap: float | None, seconds: float, replicas: int | None) -> None:
@@ -200,7 +209,7 @@ class _Run:
         """Seconds a replica and step, compiled: of a few steps of a few replicas."""
         for again in range(2):  # the first call compiles
             begin = time.perf_counter()
-            for _ in self.subject.watch((*self.seed, 8), 0, self.pilot, (2, 6)):
+            for _ in self.subject.watch(self.words("pilot"), 0, self.pilot, (2, 6)):
                 pass
             spent = time.perf_counter() - begin
             if again == 0 and spent > 60:
@@ -220,9 +229,13 @@ class _Run:
 
     # --- one stage ---
 
-    def draw(self, stage: int, chunk: int, n: int, purpose: int) -> Position:
+    def words(self, purpose: str, stage: int = 0, chunk: int = 0) -> tuple[int, ...]:
+        """What seeds one purpose, and no other: the law's draws and the kernel's steps must share no numbers."""
+        return (_PURPOSES.index(purpose) + 1, stage + 1, chunk + 1, *self.seed)
+
+    def draw(self, purpose: str, stage: int, chunk: int, n: int) -> Position:
         """`n` exact draws, in the kernel's precision."""
-        rng = np.random.default_rng([*self.seed, stage, chunk, purpose])
+        rng = np.random.default_rng(self.words(purpose, stage, chunk))
         drawn = self.law.sample(rng, n)
         lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(drawn)}
         require(lengths == {(n,)}, f"{self.law.name}: sample(rng, {n}) must return {n} positions, not {lengths}")
@@ -254,8 +267,8 @@ class _Run:
 
     def chunk(self, stage: int, chunk: int, n: int) -> _Tally:
         """Draw, run and count."""
-        start, fresh = self.draw(stage, chunk, n, 0), self.draw(stage, chunk, n, 1)
-        uniform = np.random.default_rng([*self.seed, stage, chunk, 2]).random(n)
+        start, fresh = self.draw("start", stage, chunk, n), self.draw("fresh", stage, chunk, n)
+        uniform = np.random.default_rng(self.words("choice", stage, chunk)).random(n)
         tally = _Tally(n)
         for k, test in enumerate(self.tests):
             if (0, k) in self.keys[: len(self.tests)]:
@@ -265,11 +278,16 @@ class _Run:
         parts = [
             list(
                 self.subject.watch(
-                    (*self.seed, stage, chunk), part.start, jax.tree.map(lambda a, part=part: a[part], start), self.steps
+                    self.words("steps", stage, chunk),
+                    part.start,
+                    jax.tree.map(lambda a, part=part: a[part], start),
+                    self.steps,
                 )
             )
             for part in slices
         ]
+        before = coordinates(start)
+        changed = {name: np.zeros(n, bool) for name in before}
         for t, looks in zip(self.steps, zip(*parts, strict=True), strict=True):
             look = _join(looks)
             tally.wrong += self.inspect(start, look, t)
@@ -277,11 +295,11 @@ class _Run:
                 return tally
             for k, test in enumerate(self.tests):
                 tally.counts[t, k] = test.count(Replicas(start, look, fresh, uniform))
-            if t == self.steps[-1]:
-                before, after = coordinates(start), coordinates(look.positions)
-                changed = {name: before[name] != after[name] for name in before}
-                tally.moved = int(np.any(list(changed.values()), axis=0).sum())
-                tally.still = {name for name, change in changed.items() if not change.any()}
+            after = coordinates(look.positions)
+            for name in before:
+                changed[name] |= before[name] != after[name]
+        tally.moved = int(np.any(list(changed.values()), axis=0).sum())
+        tally.still = {name for name, change in changed.items() if not change.any()}
         return tally
 
     def inspect(self, start: Position, look: Look, t: int) -> list[str]:
@@ -331,7 +349,7 @@ class _Run:
                 break
             n = n * self.grow if stage == 1 else n
         if self.deciding.moved == 0:
-            self.reasons.append(f"it never moves: no replica was elsewhere after {self.steps[-1]} steps")
+            self.reasons.append(f"it never moves: no replica was elsewhere after any of {self.steps} steps")
         elif ergodic and self.deciding.still:
             self.reasons.append(
                 f"it never moves {', '.join(sorted(self.deciding.still))}; if it is only a part of a kernel, say "
@@ -386,12 +404,12 @@ class _Run:
         n = min(_FORGET_REPLICAS, max(self.subject.unit, self.n))
         start = jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], n, 0), self.bad)
         within = max(_FORGET_WITHIN, 3 * float(np.sqrt(np.log(2e3) / (2 * n))))
-        fresh = self.draw(0, 0, n, 5)
+        fresh = self.draw("forget", 0, 0, n)
         unit, begin = self.subject.unit, time.perf_counter()
         powers = [4**j for j in range(3, 8) if 4**j <= _FORGET_STEPS]
         times = [t for power in powers for t in (power, power + 1)]
         walks = [
-            self.subject.watch((*self.seed, 7), a, jax.tree.map(lambda s, a=a: s[a : a + unit], start), times)
+            self.subject.watch(self.words("walk"), a, jax.tree.map(lambda s, a=a: s[a : a + unit], start), times)
             for a in range(0, n, unit)
         ]
         history, previous = [], None
@@ -423,15 +441,20 @@ class _Run:
                     return
                 if time.perf_counter() - begin > 10 and t * 4 * (time.perf_counter() - begin) / t > 60:
                     break
+        last = coordinates(look.positions)
+        if all(len(np.unique(values)) == 1 for values in last.values()):
+            self.reasons.append(
+                f"it is deterministic: all {n} replicas from {_point(coordinates(start), 0)} are at {_point(last, 0)} after "
+                f"{t} steps"
+            )
+            return
         self.inconclusive.append(
             f"it has not forgotten a bad start: from {_point(coordinates(start), 0)} its distance in CDF from the law is "
             f"{', '.join(history)} steps; it is slow, or it can not get everywhere (ergodic=False to leave this out)"
         )
 
     def _plain_tests(self) -> list[Test]:
-        return [
-            test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits
-        ]
+        return [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
 
     # --- what is said ---
 
@@ -465,8 +488,8 @@ class _Run:
             )
         diagnosis: list[str] = []
         if verdict is Verdict.FAIL and isinstance(self.subject, LibrarySubject) and self.deciding.counts:
-            start = self.draw(0, 0, 2**17, 6)
-            diagnosis = diagnose(self.subject, (*self.seed, 6), start)
+            start = self.draw("diagnosis", 0, 0, 2**17)
+            diagnosis = diagnose(self.subject, self.words("diagnosis"), start)
         return Report(
             kernel=self.subject.name,
             law=self.law.name,
@@ -485,6 +508,7 @@ class _Run:
             seed=seed,
             seconds=seconds,
             steps=self.steps,
+            tests=len(self.keys),
             results=results,
             diagnosis=diagnosis,
         )

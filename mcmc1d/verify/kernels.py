@@ -246,11 +246,15 @@ class HostSubject(Subject):
             done = time
 
 
-def as_subject(kernel: Any, target: Any, law: Any, *, reversible: bool | None, deposits: Any, max_weight: float) -> Subject:
+def as_subject(
+    kernel: Any, target: Any, law: Any, *, reversible: bool | None, deposits: Any, max_weight: float
+) -> Subject:
     """The subject for whatever kernel a user has; raises `ValueError` for what is none."""
     from mcmc1d.verify import adapters
 
-    require(not isinstance(kernel, type), f"give an instance, not the class: {getattr(kernel, '__name__', kernel)}(...)")
+    require(
+        not isinstance(kernel, type), f"give an instance, not the class: {getattr(kernel, '__name__', kernel)}(...)"
+    )
     if isinstance(kernel, Kernel | Move):
         require(
             isinstance(target, Multiplexed),
@@ -333,19 +337,19 @@ def _advance_library(
     key: Key, kernel: Kernel, target: Multiplexed, state: State, first: Array, last: Array
 ) -> tuple[State, Any, Any]:
     n, dtype = state.u.shape[0], state.u.dtype
+
+    def body(t: Array, carry: tuple[State, Any]) -> tuple[State, Any]:
+        step = _library_step(key, kernel, target, carry[0], t)
+        return step.state, step.deposits
+
     states = jax.vmap(target.evaluate, out_axes=-1)(state)
-
-    def body(t: Array, state: State) -> State:
-        return _library_step(key, kernel, target, state, t).state
-
-    states = jax.lax.fori_loop(first, last - 1, body, states)
-    step = _library_step(key, kernel, target, states, last - 1)
-    deposits = step.deposits
-    uniform = uniforms(key, last + _PICK, (1, n), dtype)[0]
-    one = jnp.ones((), dtype)
+    shapes = jax.eval_shape(lambda s: body(first, (s, None))[1], states)
+    none = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    # The deposits ride along, though only the last step's are looked at: so the step is compiled once.
+    after, deposits = jax.lax.fori_loop(first, last, body, (states, none))
     points = {"index": deposits.index, "x": deposits.x}
-    picked = jax.vmap(_pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, one)
-    after = step.state
+    uniform = uniforms(key, last + _PICK, (1, n), dtype)[0]
+    picked = jax.vmap(_pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, jnp.ones((), dtype))
     where = {"index": after.index, "x": jnp.moveaxis(after.seen.x, -1, 0), "u": after.u.T}
     return State(after.index, after.u.T), where, picked
 
@@ -388,8 +392,16 @@ def _alike(a: Any, b: Any) -> bool:
 
 def _shapes(tree: Any) -> str:
     """Structure, shapes and dtypes, in words."""
-    return str(jax.tree.map(lambda a: f"{np.dtype(a.dtype).name}{list(a.shape)}" if hasattr(a, "dtype") and not
-        jax.dtypes.issubdtype(a.dtype, jax.dtypes.extended) else str(type(a).__name__), tree)).replace("'", "")
+    return str(
+        jax.tree.map(
+            lambda a: (
+                f"{np.dtype(a.dtype).name}{list(a.shape)}"
+                if hasattr(a, "dtype") and not jax.dtypes.issubdtype(a.dtype, jax.dtypes.extended)
+                else str(type(a).__name__)
+            ),
+            tree,
+        )
+    ).replace("'", "")
 
 
 def _name(function: Any) -> str:

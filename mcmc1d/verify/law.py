@@ -81,7 +81,8 @@ class Law:
                 f"{self.name}: bins must be (n + 1 rising edges, n masses), not {edges.shape} and {masses.shape}",
             )
             require(
-                bool(np.all(masses >= 0)) and masses.sum() > 0, f"{self.name}: the masses must not be negative, nor all 0"
+                bool(np.all(masses >= 0)) and masses.sum() > 0,
+                f"{self.name}: the masses must not be negative, nor all 0",
             )
 
 
@@ -146,33 +147,15 @@ def multiplexed_law(target: Multiplexed) -> Law:
     lower, upper = target.target.domain
 
     def sample(rng: np.random.Generator, n: int) -> Position:
-        state = exact_start(jax.random.key(int(rng.integers(2**32))), target, n)
-        return positions(target, state)
+        return positions(target, exact_start(jax.random.key(int(rng.integers(2**32))), target, n))
 
-    if np.ndim(lower) > 0:
-        return Law(sample=sample, name=type(target.target).__name__)
-    edges = np.linspace(lower, upper, _BINS + 1)
-    masses = target.target.bin_masses(edges)
-    coarse = np.linspace(lower, upper, _JOINT_BINS + 1)
-    statistics: dict[str, Statistic] = {
-        "x": Discrete(
-            lambda p: _bin(p["x"], edges),
-            masses / masses.sum(),
-            tuple(f"x in [{a:.4g}, {b:.4g}]" for a, b in zip(edges[:-1], edges[1:], strict=True)),
-            ordered=True,
-        )
-    }
-    if target.n_techniques > 1:
-        joint = target.joint_masses(coarse)
-        statistics["index, x"] = Discrete(
-            lambda p: np.asarray(p["index"]) * _JOINT_BINS + _bin(p["x"], coarse),
-            joint.ravel(),
-            tuple(
-                f"technique {i}, x in [{coarse[b]:.4g}, {coarse[b + 1]:.4g}]"
-                for i in range(target.n_techniques)
-                for b in range(_JOINT_BINS)
-            ),
-        )
+    statistics: dict[str, Statistic] = {}
+    if np.ndim(lower) == 0:
+        bins = np.linspace(lower, upper, _BINS + 1)
+        statistics["x"] = _Bins(bins, target.target.bin_masses(bins)).statistic()
+        if target.n_techniques > 1:
+            bins = np.linspace(lower, upper, _JOINT_BINS + 1)
+            statistics["index, x"] = _Bins(bins, target.joint_masses(bins)).statistic()
     return Law(sample=sample, statistics=statistics, name=type(target.target).__name__)
 
 
@@ -187,7 +170,37 @@ def _evaluate(target: Multiplexed, state: State) -> State:
     return jax.vmap(target.evaluate)(state)
 
 
-def _bin(x: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    cell = np.searchsorted(edges, np.asarray(x, np.float64), side="right") - 1
-    # A float32 that rounds to the last edge lies in the last bin.
-    return np.where(np.asarray(x) == edges[-1], len(edges) - 2, np.where(cell < len(edges) - 1, cell, -1))
+@dataclass(frozen=True)
+class _Bins:
+    """The exact masses of bins of x, (bins,), or of (technique, x), (techniques, bins)."""
+
+    edges: np.ndarray
+    masses: np.ndarray
+
+    def statistic(self) -> Discrete:
+        """As cells that are tested."""
+        spans = [f"x in [{a:.4g}, {b:.4g}]" for a, b in zip(self.edges[:-1], self.edges[1:], strict=True)]
+        joint = self.masses.ndim == 2
+        labels = [f"technique {i}, {span}" for i in range(len(self.masses)) for span in spans] if joint else spans
+        return Discrete(self.cell, self.masses.ravel() / self.masses.sum(), tuple(labels), ordered=not joint)
+
+    def cell(self, where: Position) -> np.ndarray:
+        """The cell of each state; -1 outside of all bins.
+
+        A sample that rounds across an edge into a bin of probability zero is counted on the side that it comes from.
+        """
+        x = np.asarray(where["x"], np.float64)
+        rows = np.asarray(where["index"]) if self.masses.ndim == 2 else np.zeros(len(x), np.int64)
+        masses = np.atleast_2d(self.masses)
+        bins = masses.shape[1]
+        cell = np.searchsorted(self.edges, x, side="right") - 1
+        empty = (cell < 0) | (cell >= bins) | (masses[rows, np.clip(cell, 0, bins - 1)] == 0)
+        for side in (-1, 1):
+            near = np.searchsorted(self.edges, x[empty] + side * _ROUNDING * (1 + np.abs(x[empty])), side="right") - 1
+            lit = (near >= 0) & (near < bins)
+            lit[lit] = masses[rows[empty][lit], near[lit]] > 0
+            cell[np.flatnonzero(empty)[lit]] = near[lit]
+        return np.where((cell >= 0) & (cell < bins), rows * bins + cell, -1)
+
+
+_ROUNDING = 5e-7  # four times float32's: what a few operations near an edge may be off by

@@ -63,7 +63,9 @@ class Ledger:
 
     def share(self, name: str) -> float:
         """The level of the verification of this name; a name asks once."""
-        require(name not in self.spent, f"the ledger has already dealt a share to {name!r}; give each a name of its own")
+        require(
+            name not in self.spent, f"the ledger has already dealt a share to {name!r}; give each a name of its own"
+        )
         k = len(self.spent) + 1
         require(
             self.expected is None or k <= self.expected,

@@ -68,12 +68,14 @@ class Report:
     power: float
     """...with at least this probability."""
     moved: float
-    """The share of replicas that were elsewhere after the last step."""
+    """The share of replicas that were elsewhere when looked at."""
     forgotten: int | None
     """After how many steps from one bad point the law had been reached; None where it was not, or not asked."""
     seed: int
     seconds: float
     steps: tuple[int, ...]
+    tests: int
+    """Among how many tests the level is shared."""
     results: list[Result] = field(default_factory=list)
     diagnosis: list[str] = field(default_factory=list)
     """For a move of this library that fails: which kind of move, between which states."""
@@ -118,7 +120,7 @@ class Report:
         lines += [
             f"  detects    {gap} in the law after any of {', '.join(map(str, self.steps))} steps, "
             f"with probability {self.power:g}",
-            f"  level      {self.level:.1e}, shared by {len(self.results)} tests; first-stage p = {self.p_value:.2g}, "
+            f"  level      {self.level:.1e}, shared by {self.tests} tests; first-stage p = {self.p_value:.2g}, "
             f"{_count(self.stages, 'stage')}",
             f"  replicas   {self.replicas:,} exact starts; {self.moved:.1%} moved; "
             + (f"a bad start forgotten in {self.forgotten}" if self.forgotten else "no bad start forgotten"),
@@ -144,7 +146,13 @@ class Report:
             row[: len(result.residuals or [])] = result.residuals or []
         limit = max(5.0, float(np.nanmax(np.abs(image))) if np.isfinite(image).any() else 5.0)
         shown = left.imshow(
-            image, aspect="auto", cmap="PuOr", vmin=-limit, vmax=limit, interpolation="nearest", extent=(0, 1, len(maps), 0)
+            image,
+            aspect="auto",
+            cmap="PuOr",
+            vmin=-limit,
+            vmax=limit,
+            interpolation="nearest",
+            extent=(0, 1, len(maps), 0),
         )
         left.set_yticks(np.arange(len(maps)) + 0.5, [f"{r.name}, {r.steps}" for r in maps], fontsize=6)
         left.set(xlabel="cells in order, from the first to the last", title="residual by cell (s.d.)")
