@@ -2,6 +2,7 @@
 
 from mcmc1d.verify.adapters import blackjax, emcee, numpyro
 from mcmc1d.verify.contract import Check, ContractError, ContractReport
+from mcmc1d.verify.efficiency import Efficiency, efficiency
 from mcmc1d.verify.engine import LawError, verify
 from mcmc1d.verify.kernels import HostKernel, JaxKernel
 from mcmc1d.verify.law import Continuous, Discrete, Law
@@ -16,6 +17,7 @@ __all__ = [
     "ContractError",
     "ContractReport",
     "Discrete",
+    "Efficiency",
     "HostKernel",
     "JaxKernel",
     "Law",
@@ -29,6 +31,7 @@ __all__ = [
     "blackjax",
     "check_move",
     "check_technique",
+    "efficiency",
     "emcee",
     "hard_target",
     "numpyro",

@@ -5,6 +5,8 @@ size: the DKW bound, exact binomials under a union bound, exact signs of pairs.
 """
 
 import abc
+import itertools
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -238,7 +240,7 @@ class Exchangeable(Test):
     def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
         table, direction = counts
         upper = np.triu_indices(len(table), 1)
-        return min(1.0, 2 * min(sign_p_value(table[upper], table.T[upper]), sign_p_value(*direction)))
+        return min(1.0, 2 * min(sign_p_value(table[upper], table.T[upper]), sign_p_value(direction[:1], direction[1:])))
 
     def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
         table, direction = counts
@@ -269,7 +271,8 @@ def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None
         known |= {"x": _binned(law)}
     tests: list[Test] = []
     for name, statistic in known.items():
-        layer = "marginal" if isinstance(statistic, Continuous) or statistic.ordered else "joint"
+        ordered = isinstance(statistic, Continuous) or statistic.ordered
+        layer = "marginal" if ordered and (name in columns or scalar) else "joint"
         places = _places(statistic, draws) if isinstance(statistic, Continuous) else None
         tests.append(OneSample(name, statistic, layer, places=places))
         if deposits is not None:
@@ -316,11 +319,13 @@ def coordinates(positions: Position) -> dict[str, np.ndarray]:
 def evaluate(name: str, statistic: Continuous | Discrete, where: Position) -> np.ndarray:
     """The cell of each position: (n,) integers, -1 in none. Raises `ValueError` for what is no CDF and no cell."""
     if isinstance(statistic, Continuous):
-        value = np.asarray(statistic.value(where), np.float64)
-        u = np.asarray(statistic.cdf(value), np.float64)
-        require(u.shape == value.shape, f"the cdf of {name} must return shape {value.shape}, not {u.shape}")
+        u = statistic.probability(where)
+        n = len(jax.tree.leaves(where)[0])
+        require(u.shape == (n,), f"the cdf of {name} must return shape {(n,)}, not {u.shape}")
         bad = ~((u >= -1e-9) & (u <= 1 + 1e-9))
-        require(not bad.any(), f"the cdf of {name} is {u[bad][:1]} at {value[bad][:1]}; it must lie in [0, 1]")
+        if bad.any():
+            value = np.asarray(statistic.value(where))[bad][:1]
+            raise ValueError(f"the cdf of {name} is {u[bad][:1]} at {value}; it must lie in [0, 1]")
         return np.clip((u * FINE).astype(np.int64), 0, FINE - 1)
     cell = np.asarray(statistic.cell(where))
     require(
@@ -387,26 +392,43 @@ class _Energy:
 
 
 def _marginals(law: Law, columns: Mapping[str, np.ndarray]) -> dict[str, Continuous]:
-    names, cdf = list(columns), law.cdf
+    cdf = law.cdf
     assert cdf is not None
-    if len(names) == 1:
+    if len(columns) == 1:
         # A law on the line, whether its positions are (n,) or (n, 1).
-        return {names[0]: Continuous(_Column(names[0]), lambda x: np.ravel(cdf(x)))}
-    d = len(names)
+        (name,) = columns
+        return {name: Continuous(_Column(name), lambda x: np.ravel(cdf(x)))}
+    table = _Table(law)
+    return {name: _Marginal(_Column(name), cdf, table, k) for k, name in enumerate(columns)}
 
-    def marginal(k: int) -> Continuous:
-        def of(x: np.ndarray) -> np.ndarray:
-            # The other columns are of no account to a marginal.
-            out = np.asarray(cdf(np.repeat(x[:, None], d, axis=1)))
+
+class _Table:
+    """All marginal CDFs of a batch of positions; the last batch of each thread is kept, for the next coordinate."""
+
+    def __init__(self, law: Law):
+        self.law, self.last = law, threading.local()
+
+    def __call__(self, where: Position) -> np.ndarray:
+        if getattr(self.last, "where", None) is not where:
+            points = np.asarray(where, np.float64)
+            out = np.asarray(self.law.cdf(points), np.float64)  # pyright: ignore[reportOptionalCall]
             require(
-                out.shape == (len(x), d),
-                f"{law.name}: cdf must return the {d} marginal CDFs, shape {(len(x), d)}, not {out.shape}",
+                out.shape == points.shape,
+                f"{self.law.name}: cdf must return all marginal CDFs, shape {points.shape}, not {out.shape}",
             )
-            return out[:, k]
+            self.last.where, self.last.table = where, out.reshape(len(points), -1)
+        return self.last.table
 
-        return Continuous(_Column(names[k]), of)
 
-    return {name: marginal(k) for k, name in enumerate(names)}
+@dataclass(frozen=True)
+class _Marginal(Continuous):
+    """One column of the table."""
+
+    table: _Table
+    column: int
+
+    def probability(self, where: Position) -> np.ndarray:
+        return self.table(where)[:, self.column]
 
 
 def _binned(law: Law) -> Discrete:
@@ -418,7 +440,7 @@ def _binned(law: Law) -> Discrete:
         k = np.searchsorted(edges, values, side="right") - 1
         return np.where(values == edges[-1], len(masses) - 1, np.where(k < len(masses), k, -1))
 
-    labels = tuple(f"x in [{a:.4g}, {b:.4g}]" for a, b in zip(edges[:-1], edges[1:], strict=True))
+    labels = tuple(f"x in [{a:.4g}, {b:.4g}]" for a, b in itertools.pairwise(edges))
     return Discrete(cell, masses / masses.sum(), labels, ordered=True)
 
 
@@ -440,5 +462,5 @@ def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
 def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
     """Which coordinates are looked at jointly: all of up to three, and every neighbouring pair of more."""
     if len(names) <= 3:
-        return [tuple(names)] + ([(a, b) for a, b in zip(names, names[1:], strict=False)] if len(names) == 3 else [])
-    return list(zip(names, names[1:], strict=False))
+        return [tuple(names), *(itertools.pairwise(names) if len(names) == 3 else [])]
+    return list(itertools.pairwise(names))

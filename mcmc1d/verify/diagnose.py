@@ -45,7 +45,7 @@ def _cells(subject: LibrarySubject, start: Position, after: Position):
     def cell(index: np.ndarray, x: np.ndarray) -> np.ndarray:
         return np.asarray(index) * width + np.searchsorted(ends, x, side="right")
 
-    def label(k: int) -> str:
+    def label(k: np.integer) -> str:
         index, b = divmod(int(k), width)
         around = np.concatenate([[-np.inf], ends, [np.inf]])
         return f"(technique {index}, x in [{around[b]:.3g}, {around[b + 1]:.3g}])"

@@ -28,6 +28,7 @@ _CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
 _FORGET_REPLICAS = 8192
 _FORGET_WITHIN = 0.06  # three times the DKW deviation of 8192 draws at probability 1e-3, which is 0.02
 _FORGET_STEPS = 2**14
+_PERIODIC_AFTER = 2**12  # a second eigenvalue of -0.9993 is forgotten by then
 _PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis")
 
 
@@ -60,23 +61,28 @@ def verify(
     autocorrelation, p-values that hold far in the tail. Sequential after Gandy and Scott (see `Scheme`); never
     repeated on failure. The same seed and `replicas` give the same report.
 
-    Arguments:
+    Args:
         kernel: a move or kernel of this library (`target` a `Multiplexed`); a JAX function `step(key, position)` that
             returns the position, or (position, info); a `JaxKernel`, a `HostKernel`; a BlackJAX algorithm, a NumPyro
             kernel, an emcee move.
         target: a `Law`, a `Multiplexed`, a frozen scipy distribution, or an object with `sample` and `cdf`.
+        seed: of all random numbers, with `name`.
         level: the probability that a right kernel fails; 1e-5, or the ledger's share.
-        gap, power: detect this CDF gap with this probability, or be INCONCLUSIVE. Without `gap`, 0.005 is aimed at and
-            whatever up to 0.05 the time affords is reported.
+        gap: the CDF gap to detect, or be INCONCLUSIVE. Without it 0.005 is aimed at, and whatever up to 0.05 the time
+            affords is reported.
+        power: the probability with which the gap is detected.
         seconds: what a first stage may take (a kernel that needs less takes less).
         replicas: how many in the first stage, in place of `gap` and `seconds`.
+        steps: after how many steps the law is tested.
         reversible: declare detailed balance, so that (first, last) must be exchangeable. Declared for moves of this
             library, and for nothing else.
         ergodic: False for a kernel that is only invariant, such as one half of a Gibbs sweep: then it need not move
             every coordinate nor forget a bad start.
         deposits: `(state, info) -> (points, weights)` of a JAX kernel: what an estimator adds up after each step. Its
-            expectation must be the law's; `max_weight` bounds a step's total weight.
+            expectation must be the law's.
+        max_weight: a bound on the deposits' total weight in a step.
         name: of the test; the random numbers derive from it and from the seed.
+        ledger: deals out the level.
         progress: called with the replicas done and the replicas of the stage.
 
     Raises `ValueError` for a kernel or a law that can not be run, `LawError` for a law whose sampler and exact values
@@ -89,16 +95,26 @@ def verify(
     require(
         len(steps) > 0 and list(steps) == sorted(set(steps)) and steps[0] >= 1, f"steps must rise from 1 on: {steps}"
     )
+    require(gap is None or 0 < gap < 1, f"gap is a difference of two CDFs, between 0 and 1, not {gap}")
     require(0.5 <= power < 1, f"power is a probability from 0.5 to 1, not {power}")
     require(max_weight >= 1, f"max_weight is the largest total weight of a step, 1 or more, not {max_weight}")
     name = name or f"{subject.name} on {law.name}"
     if level is None:
         level = 1e-5 if ledger is None else ledger.share(name)
-    run = _Run(law, subject, Scheme(level), _entropy(seed, name), tuple(steps), power, max_weight, progress)
+    run = Run(law, subject, Scheme(level), _entropy(seed, name), tuple(steps), power, max_weight, progress)
     run.prepare()
     run.size(gap, seconds, replicas)
     run.decide(ergodic)
     return run.report(name, seed, gap, replicas, time.perf_counter() - began)
+
+
+def prepared(kernel: Any, target: Any, *, seed: int, name: str) -> "Run":
+    """A run whose kernel and law have been looked at, for what else may be measured with them."""
+    law = as_law(target)
+    subject = as_subject(kernel, target, law, reversible=None, deposits=None, max_weight=1.0)
+    run = Run(law, subject, Scheme(), _entropy(seed, name), (1,), 0.99, 1.0, None)
+    subject.check(jax.tree.map(lambda a: a[: subject.unit], run.draw("design", 0, 0, _FORGET_REPLICAS)))
+    return run
 
 
 @dataclass
@@ -126,7 +142,7 @@ class _Tally:
 
 
 @dataclass
-class _Run:
+class Run:
     """One verification on its way."""
 
     law: Law
@@ -400,7 +416,7 @@ class _Run:
         )
 
     def forget(self) -> None:
-        """Many chains from one bad point: after how many steps is their law near the right one?"""
+        """After how many steps the law of many chains from one bad point is near the right one, if it ever is."""
         n = min(_FORGET_REPLICAS, max(self.subject.unit, self.n))
         start = jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], n, 0), self.bad)
         within = max(_FORGET_WITHIN, 3 * float(np.sqrt(np.log(2e3) / (2 * n))))
@@ -433,10 +449,10 @@ class _Run:
                     for (test, c), (_, d) in zip(previous, counts, strict=True)
                 ]
                 mixed = max((_distance(test, count, 2 * n) for test, count in both), default=0.0)
-                if distance > within >= mixed and t > _FORGET_STEPS:
+                if distance > within >= mixed and t > _PERIODIC_AFTER:
                     self.reasons.append(
-                        f"it is periodic: from {_point(coordinates(start), 0)} the laws after {t - 1} and {t} steps are "
-                        f"{distance:.2f} from the right one, and their mean is not"
+                        f"it is periodic: from {_point(coordinates(start), 0)} the laws after {t - 1} and {t} steps "
+                        f"are {distance:.2f} from the right one, and their mean is not"
                     )
                     return
                 if time.perf_counter() - begin > 10 and t * 4 * (time.perf_counter() - begin) / t > 60:
@@ -444,13 +460,13 @@ class _Run:
         last = coordinates(look.positions)
         if all(len(np.unique(values)) == 1 for values in last.values()):
             self.reasons.append(
-                f"it is deterministic: all {n} replicas from {_point(coordinates(start), 0)} are at {_point(last, 0)} after "
-                f"{t} steps"
+                f"it is deterministic: all {n} replicas from {_point(coordinates(start), 0)} are at {_point(last, 0)} "
+                f"after {t} steps"
             )
             return
         self.inconclusive.append(
-            f"it has not forgotten a bad start: from {_point(coordinates(start), 0)} its distance in CDF from the law is "
-            f"{', '.join(history)} steps; it is slow, or it can not get everywhere (ergodic=False to leave this out)"
+            f"it has not forgotten a bad start: from {_point(coordinates(start), 0)} its distance in CDF from the law "
+            f"is {', '.join(history)} steps; it is slow, or can not get everywhere (ergodic=False to leave this out)"
         )
 
     def _plain_tests(self) -> list[Test]:

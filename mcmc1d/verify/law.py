@@ -27,6 +27,10 @@ class Continuous:
     cdf: Callable[[np.ndarray], np.ndarray]
     """(n,) -> (n,), the probability of a value at most this."""
 
+    def probability(self, where: Position) -> np.ndarray:
+        """The CDF at n positions' values: uniform on [0, 1] under the law."""
+        return np.asarray(self.cdf(np.asarray(self.value(where), np.float64)), np.float64)
+
 
 @dataclass(frozen=True)
 class Discrete:
@@ -102,8 +106,8 @@ def as_law(target: Any) -> Law:
     given = {name: getattr(target, name) for name in names if getattr(target, name, None) is not None}
     require(
         callable(getattr(target, "sample", None)) and not isinstance(target, type),
-        f"a target to verify against must be a verify.Law (sample=, cdf=), a Multiplexed, a frozen scipy distribution or "
-        f"an object with `sample` and `cdf`, not {target!r}",
+        "a target to verify against must be a verify.Law (sample=, cdf=), a Multiplexed, a frozen scipy distribution "
+        f"or an object with `sample` and `cdf`, not {target!r}",
     )
     return Law(sample=target.sample, **({"name": type(target).__name__} | given))
 

@@ -5,6 +5,7 @@ coordinates, scales that depend on another coordinate, and an index of three sta
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -100,6 +101,14 @@ def normal(dimension: int) -> Law:
     )
 
 
+def correlated(correlation: float) -> Law:
+    """In the plane: a normal law of unit variances; its marginals say nothing of the correlation."""
+    law = _normal_mixture("correlated", [1.0], [[0.0, 0.0]], [[[1.0, correlation], [correlation, 1.0]]])
+    root = float(np.sqrt(1 - correlation**2))
+    rest = Continuous(lambda x: (np.float64(x[:, 1]) - correlation * np.float64(x[:, 0])) / root, ndtr)
+    return replace(law, statistics={"x[1] given x[0]": rest})
+
+
 def switch() -> Law:
     """An index of three states and a real x whose law depends on it: {"index": (n,), "x": (n,)}."""
     masses = np.array([0.5, 0.2, 0.3])
@@ -157,7 +166,7 @@ def _normal_mixture(
         return x[:, 0] if scalar else x
 
     def log_density(x):
-        d = jnp.atleast_1d(x) - jnp.asarray(m)
+        d = jnp.atleast_1d(x)[None, :] - jnp.asarray(m)
         return logsumexp(jnp.asarray(offsets) - 0.5 * jnp.einsum("ki,kij,kj->k", d, jnp.asarray(inverses), d))
 
     def cdf(x: np.ndarray) -> np.ndarray:
@@ -179,4 +188,4 @@ LAWS: dict[str, Callable[[], Law]] = {
 }
 """Every shipped law by name, made when called."""
 
-__all__ = ["LAWS", "banana", "lopsided", "normal", "ridge", "skewed", "switch", "two_modes", "walls"]
+__all__ = ["LAWS", "banana", "correlated", "lopsided", "normal", "ridge", "skewed", "switch", "two_modes", "walls"]

@@ -5,108 +5,64 @@ import jax.numpy as jnp
 from mcmc1d.numerics import choose, cumulative, locate, unchoose
 from mcmc1d.techniques import Mixture, RaisedSinusoid, Ramp, Technique, Tent, dim_v
 from mcmc1d.techniques.base import Forward, Inverse
-from mcmc1d.types import Array, Corners, Float, Scalar
+from mcmc1d.types import Array, Float, Scalar
 from mcmc1d.verify.mutants import Mutant
+from mcmc1d.verify.mutants.base import WrongTechnique
 
 
-class FixedPointInverse(Technique):
+class FixedPointInverse(WrongTechnique):
     """Bitterli et al. 2017, figure 3c: the lobe is chosen rightly, but the inverse returns the middle of its interval.
 
     Without the place inside the interval (eq. 21) the jump reaches a set of measure zero.
     """
 
-    mixture: Mixture
-
-    @property
-    def dim_u(self) -> int:
-        return self.mixture.dim_u
-
-    @property
-    def support(self) -> Corners:
-        return self.mixture.support
-
-    @property
-    def breaks(self) -> tuple[float, ...]:
-        return self.mixture.breaks
-
-    def forward(self, u: Float[Array, " m"]) -> Forward:
-        return self.mixture.forward(u)
+    right: Mixture
 
     def inverse(self, x: Float[Array, "..."], v: Float[Array, " k"]) -> Inverse:
-        u, log_det = self.mixture.inverse(x, v)
-        ends = _prior(self.mixture)
+        u, log_det = self.right.inverse(x, v)
+        ends = _prior(self.right)
         return u.at[0].set(unchoose(ends, locate(ends, u[0]), jnp.full_like(u[0], 0.5))), log_det
 
-    def log_prob(self, x: Float[Array, "..."]) -> Scalar:
-        return self.mixture.log_prob(x)
 
-
-class PriorLobe(Technique):
+class PriorLobe(WrongTechnique):
     """The lobe chosen by the prior, which is right, with the posterior's determinant -log p(x), which is not its own.
 
     DESIGN's trap: with the determinant -log p_lobe(x) this would be a right technique.
     """
 
-    mixture: Mixture
-
-    @property
-    def dim_u(self) -> int:
-        return self.mixture.dim_u
+    right: Mixture
 
     def forward(self, u: Float[Array, " m"]) -> Forward:
-        x, v, _ = self.mixture.forward(u)
-        return x, v.at[0].set(u[0]), -self.mixture.log_prob(x)
+        x, v, _ = self.right.forward(u)
+        return x, v.at[0].set(u[0]), -self.right.log_prob(x)
 
     def inverse(self, x: Float[Array, "..."], v: Float[Array, " k"]) -> Inverse:
-        lobe, _ = choose(_prior(self.mixture), v[0])
+        lobe, _ = choose(_prior(self.right), v[0])
         options = []
-        for technique in self.mixture.lobes:
+        for technique in self.right.lobes:
             k = dim_v(technique)
             options.append(jnp.concatenate([technique.inverse(x, v[1 : 1 + k])[0], v[1 + k :]]))
         u = jnp.stack(options)[lobe]
-        return jnp.concatenate([v[:1], u]), self.mixture.log_prob(x)
-
-    def log_prob(self, x: Float[Array, "..."]) -> Scalar:
-        return self.mixture.log_prob(x)
+        return jnp.concatenate([v[:1], u]), self.right.log_prob(x)
 
 
-class WrongSign(Technique):
+class WrongSign(WrongTechnique):
     """The inverse's log-determinant with the sign of the forward's."""
 
-    technique: Technique
-
-    @property
-    def dim_u(self) -> int:
-        return self.technique.dim_u
-
-    def forward(self, u: Float[Array, " m"]) -> Forward:
-        return self.technique.forward(u)
+    right: Technique
 
     def inverse(self, x: Float[Array, "..."], v: Float[Array, " k"]) -> Inverse:
-        u, log_det = self.technique.inverse(x, v)
+        u, log_det = self.right.inverse(x, v)
         return u, -log_det
 
-    def log_prob(self, x: Float[Array, "..."]) -> Scalar:
-        return self.technique.log_prob(x)
 
-
-class Proportional(Technique):
+class Proportional(WrongTechnique):
     """A density known up to a factor, used as the density."""
 
-    technique: Technique
-
-    @property
-    def dim_u(self) -> int:
-        return self.technique.dim_u
-
-    def forward(self, u: Float[Array, " m"]) -> Forward:
-        return self.technique.forward(u)
-
-    def inverse(self, x: Float[Array, "..."], v: Float[Array, " k"]) -> Inverse:
-        return self.technique.inverse(x, v)
+    right: Technique
 
     def log_prob(self, x: Float[Array, "..."]) -> Scalar:
-        return self.technique.log_prob(x) + jnp.log(2.0)
+        return self.right.log_prob(x) + jnp.log(2.0)
 
 
 def _prior(mixture: Mixture) -> list[Scalar]:

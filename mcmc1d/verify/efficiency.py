@@ -1,0 +1,101 @@
+"""Whether two kernels of one law mix alike: for mistakes that leave the law right and change the variance only."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from mcmc1d.numerics import require
+from mcmc1d.verify.battery import coordinates
+from mcmc1d.verify.engine import prepared
+from mcmc1d.verify.goodness import sign_p_value
+
+_FAR = (0.02, 0.1, 0.3)  # of a coordinate's probability: short, middling and long moves
+
+
+@dataclass(frozen=True)
+class Efficiency:
+    """How far two kernels have moved from the same exact starts, coordinate by coordinate."""
+
+    names: tuple[str, str]
+    p_value: float
+    """That two kernels which move alike differ so much; exact, over all that was compared."""
+    level: float
+    moved: dict[str, tuple[float, float]]
+    """By "coordinate by more than q after k": the shares of replicas of either kernel that did."""
+
+    @property
+    def alike(self) -> bool:
+        """Whether no difference was found at the level."""
+        return self.p_value > self.level
+
+    @property
+    def worst(self) -> tuple[str, tuple[float, float]]:
+        """The comparison that differs most."""
+        return max(self.moved.items(), key=lambda item: abs(item[1][0] - item[1][1]))
+
+    def __str__(self) -> str:
+        what, (mine, other) = self.worst
+        head = f"{self.names[0]} and {self.names[1]} move {'alike' if self.alike else 'differently'}"
+        return f"{head}: p = {self.p_value:.1e} at level {self.level:.0e}; {what}: {mine:.4f} and {other:.4f}"
+
+
+def efficiency(
+    kernel: Any,
+    reference: Any,
+    target: Any,
+    *,
+    seed: int = 0,
+    level: float = 1e-6,
+    replicas: int = 2**16,
+    steps: Sequence[int] = (1, 4, 16, 64),
+) -> Efficiency:
+    """Compare how far two kernels take stationary chains, in units of each coordinate's own probability.
+
+    Replica by replica from the same start, independent numbers: one has moved further than q and the other has not, or
+    the reverse, as often if they mix alike. Detects a difference of about 8 sqrt(1 / (2 replicas)) in any share.
+
+    Arguments as `verify`'s; `reference` is a kernel that is known to be as good as it should be.
+    """
+    require(replicas >= 256, f"{replicas} replicas are too few to compare; give 256 or more")
+    runs = [prepared(each, target, seed=seed, name=f"efficiency {k}") for k, each in enumerate((kernel, reference))]
+    draws = coordinates(runs[0].draw("design", 0, 0, 2**14))
+    sorts = {name: np.sort(values) for name, values in draws.items()}
+    start = runs[0].draw("start", 1, 0, replicas)
+    before = _ranks(sorts, coordinates(start))
+    more: list[int] = []
+    less: list[int] = []
+    moved = {}
+    walks = [_walk(run, start, steps) for run in runs]
+    for t, looks in zip(steps, zip(*walks, strict=True), strict=True):
+        after = [_ranks(sorts, coordinates(look)) for look in looks]
+        for name in before:
+            for q in _FAR:
+                mine, other = (np.abs(ranks[name] - before[name]) > q for ranks in after)
+                more.append(int((mine & ~other).sum()))
+                less.append(int((other & ~mine).sum()))
+                moved[f"{name} by more than {q} after {t}"] = (float(mine.mean()), float(other.mean()))
+    names = (runs[0].subject.name, runs[1].subject.name)
+    return Efficiency(names, sign_p_value(np.array(more), np.array(less)), level, moved)
+
+
+def _ranks(sorts: dict[str, np.ndarray], columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Each coordinate as its place among exact draws, in [0, 1]."""
+    return {
+        name: (np.searchsorted(sorts[name], values, "left") + np.searchsorted(sorts[name], values, "right"))
+        / (2 * len(sorts[name]))
+        for name, values in columns.items()
+    }
+
+
+def _walk(run: Any, start: Any, steps: Sequence[int]) -> Any:
+    """The positions of all replicas after each of the steps."""
+    n, unit = len(jax.tree.leaves(start)[0]), run.subject.unit
+    parts = [
+        run.subject.watch(run.words("steps", 1), a, jax.tree.map(lambda s, a=a: s[a : a + unit], start), steps)
+        for a in range(0, n, unit)
+    ]
+    for looks in zip(*parts, strict=True):
+        yield jax.tree.map(lambda *p: np.concatenate(p), *(look.positions for look in looks))
