@@ -3,11 +3,39 @@
 Techniques are bijections u <-> (x, v), moves are involutions (s, w) <-> (s', w'), one function accepts.
 """
 
-from mcmc1d import moves, targets, techniques, verify, weights
-from mcmc1d.chain import Normalisation, Run, Trace, exact_start, normalisation, run, trace
-from mcmc1d.estimators import Acceptance, Estimator, Expectation, Histogram
-from mcmc1d.metropolis import Cycle, Kernel, Metropolis
-from mcmc1d.state import Eval, Multiplexed, State
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mcmc1d import moves, targets, techniques, verify, weights
+    from mcmc1d.chain import Normalisation, Run, Trace, exact_start, normalisation, run, trace
+    from mcmc1d.estimators import Acceptance, Estimator, Expectation, Histogram
+    from mcmc1d.metropolis import Cycle, Kernel, Metropolis
+    from mcmc1d.state import Eval, Multiplexed, State
+else:
+    # On first use: pytest imports this package at the start of everyone's run, for its plugin, and must not wait for
+    # JAX. Hidden from type checkers, to which a module with __getattr__ has every name.
+    def __getattr__(name):
+        from importlib import import_module
+
+        home = _HOMES.get(name)
+        if home is None:
+            raise AttributeError(f"module 'mcmc1d' has no attribute {name!r}", name=name)
+        module = import_module(f"mcmc1d.{home}")
+        globals()[name] = value = module if home == name else getattr(module, name)
+        return value
+
+    def __dir__():
+        return sorted({*globals(), *__all__})
+
+
+_HOMES = {
+    **dict.fromkeys(["Normalisation", "Run", "Trace", "exact_start", "normalisation", "run", "trace"], "chain"),
+    **dict.fromkeys(["Acceptance", "Estimator", "Expectation", "Histogram"], "estimators"),
+    **dict.fromkeys(["Cycle", "Kernel", "Metropolis"], "metropolis"),
+    **dict.fromkeys(["Eval", "Multiplexed", "State"], "state"),
+    **{name: name for name in ["moves", "targets", "techniques", "verify", "weights"]},
+}
+"""The module of each public name; a submodule's is its own."""
 
 __all__ = [
     "Acceptance",
