@@ -3,9 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.numerics import require
@@ -42,7 +40,7 @@ def blackjax(algorithm: Any, *, name: str = "", reversible: bool | None = None) 
     def init(key: Any, position: Any) -> Any:
         return algorithm.init(position, key) if len(required) > 1 else algorithm.init(position)
 
-    label = name or "blackjax " + algorithm.init.__qualname__.split(".")[0]
+    label = name or "blackjax " + _module(algorithm.step)
     return JaxKernel(algorithm.step, init, lambda state: state.position, reversible=reversible, name=label)
 
 
@@ -82,18 +80,16 @@ def emcee(
             law is not None and law.log_density is not None,
             "an emcee move needs the density: give the law a log_density, or call verify.emcee(move, log_prob=...)",
         )
-        density = law.log_density  # pyright: ignore[reportOptionalMemberAccess]
-        batch = eqx.filter_jit(jax.vmap(density))
+        batch = jax.jit(jax.vmap(law.log_density))  # pyright: ignore[reportOptionalMemberAccess]
 
         def log_prob(x: np.ndarray) -> np.ndarray:
-            with jax.enable_x64(True):
-                return np.asarray(batch(jnp.asarray(x)))
+            return np.array(batch(x))  # a copy, because emcee writes into it
 
     return EnsembleSubject(move, walkers, log_prob)
 
 
 class EnsembleSubject(Subject):
-    """An emcee move, run by emcee's own sampler."""
+    """An emcee move, in its own `propose`."""
 
     def __init__(self, move: Any, walkers: int, log_prob: Callable):
         self.move, self.walkers, self.log_prob = move, walkers, log_prob
@@ -107,24 +103,47 @@ class EnsembleSubject(Subject):
         )
         next(self.watch([0], 0, start[: self.walkers], (1,)))
 
+    def crowd(self, bad: Position, unlikely: Position, n: int) -> Position:
+        # At one point an ensemble could never move: it starts at its least likely draws.
+        return np.resize(np.asarray(unlikely)[: self.walkers], (n, *np.shape(unlikely)[1:]))
+
     def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
-        from emcee import EnsembleSampler, State
+        from emcee import State
+        from emcee.model import Model
+
+        def compute(points: np.ndarray) -> tuple[np.ndarray, None]:
+            values = self.log_prob(points)
+            if np.shape(values) != (len(points),) or np.isnan(values).any():
+                raise ValueError(f"{self.name}: log_prob must return one number a walker and no NaN, not {values}")
+            return values, None
 
         points = np.array(start, np.float64).reshape(len(start), -1)
-        states, samplers = [], []
-        for k in range(0, len(points), self.walkers):
-            walkers = points[k : k + self.walkers]
-            samplers.append(EnsembleSampler(*walkers.shape, self.log_prob, moves=[(self.move, 1.0)], vectorize=True))
-            word = np.random.SeedSequence([*seed, first + k]).generate_state(1)[0]
-            states.append(State(walkers, random_state=np.random.RandomState(word).get_state()))
+        with jax.enable_x64(True):
+            random = np.random.RandomState(np.random.SeedSequence([*seed, first]).generate_state(4))
+            model = Model(self.log_prob, compute, map, random)
+            # An ensemble that does not fill is left out of the moving, and stays the exact draws that it is.
+            states = []
+            for k in range(0, len(points) - self.walkers + 1, self.walkers):
+                walkers = points[k : k + self.walkers]
+                states.append(State(walkers, log_prob=self.log_prob(walkers)))
         done = 0
         for time in times:
-            for k, sampler in enumerate(samplers):
-                steps = sampler.sample(states[k], iterations=time - done, store=False, skip_initial_state_check=True)
-                *_, states[k] = steps
+            with jax.enable_x64(True):
+                for k, state in enumerate(states):
+                    for _ in range(done, time):
+                        state, _ = self.move.propose(model, state)  # noqa: PLW2901
+                    states[k] = state
             done = time
-            coordinates = np.concatenate([state.coords for state in states])
+            coordinates = np.concatenate([*(state.coords for state in states), points[len(states) * self.walkers :]])
             yield Look(coordinates.reshape(np.shape(start)).copy())
+
+
+def _module(step: Any) -> str:
+    """The algorithm's module, from the functions that its step closes over."""
+    cells = [cell.cell_contents for cell in getattr(step, "__closure__", None) or ()]
+    modules = [getattr(cell, "__module__", None) or "" for cell in cells]
+    names = [module.rsplit(".", 1)[-1] for module in modules if module.startswith("blackjax.")]
+    return names[0] if names else "algorithm"
 
 
 def _has_base(kernel: Any, module: str, name: str) -> bool:

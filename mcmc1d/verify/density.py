@@ -1,6 +1,7 @@
 """What a technique says of its density: zero outside its support, the determinant's integral over v, and 1 in all."""
 
 import itertools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -115,7 +116,7 @@ def integral(technique: Technique) -> Check:
     hidden = 0.0
     if shape == () and np.isfinite([lower, upper]).all():
         inner = [b for b in technique.breaks if lower < b < upper]
-        value, error, hidden = _between(density, np.unique([lower, *inner, upper]))
+        value, error, hidden = _between(density, np.unique(np.array([lower, *inner, upper])))
     else:
         breaks = [np.array([b]) for b in technique.breaks] if shape == () else []
         with np.errstate(invalid="ignore"):
@@ -161,5 +162,6 @@ def _between(density: _Density, cuts: np.ndarray) -> tuple[float, float, float]:
             nearest = np.where(np.isfinite(at_ends), nearest, ends + np.copysign(roundings * ulp, half))
         hidden = float(np.sum(np.asarray(evaluate(jnp.asarray(nearest))) * np.abs(nearest - ends)))
         with np.errstate(invalid="ignore"):  # should p be infinite elsewhere, the error is NaN, and the check fails
-            result = cubature(on_nodes, [0.0], [1.0], rtol=0, atol=1e-11 / len(ends), max_subdivisions=300)
+            options: dict[str, Any] = {"rtol": 0, "atol": 1e-11 / len(ends), "max_subdivisions": 300}
+            result = cubature(on_nodes, [0.0], [1.0], **options)
     return float(result.estimate.sum()), float(result.error.sum()), hidden

@@ -44,7 +44,7 @@ def verify(
     level: float | None = None,
     gap: float | None = None,
     power: float = 0.99,
-    seconds: float = 30.0,
+    seconds: float = 40.0,
     replicas: int | None = None,
     steps: Sequence[int] = (1, 4, 16, 64),
     reversible: bool | None = None,
@@ -96,6 +96,9 @@ def verify(
         len(steps) > 0 and list(steps) == sorted(set(steps)) and steps[0] >= 1, f"steps must rise from 1 on: {steps}"
     )
     require(gap is None or 0 < gap < 1, f"gap is a difference of two CDFs, between 0 and 1, not {gap}")
+    require(seconds > 0, f"seconds is a time and positive, not {seconds}")
+    for what, value in (("seed", seed), ("replicas", replicas), *(("steps", k) for k in steps)):
+        require(value is None or isinstance(value, int | np.integer), f"{what} must be a whole number, not {value!r}")
     require(0.5 <= power < 1, f"power is a probability from 0.5 to 1, not {power}")
     require(max_weight >= 1, f"max_weight is the largest total weight of a step, 1 or more, not {max_weight}")
     name = name or f"{subject.name} on {law.name}"
@@ -172,7 +175,6 @@ class Run:
         draws = self.draw("design", 0, 0, 2 * _FORGET_REPLICAS)
         few = jax.tree.map(lambda a: a[: self.subject.unit], draws)
         self.subject.check(few)
-        self.pilot = few
         look = next(iter(self.subject.watch(self.words("pilot"), 0, few, (1,))))
         self.tests = design(
             self.law,
@@ -183,7 +185,7 @@ class Run:
         )
         own = [(0, k) for k, test in enumerate(self.tests) if isinstance(test, OneSample) and not test.deposits]
         self.keys = own + [(t, k) for t in self.steps for k in range(len(self.tests))]
-        self.bad = self._bad_start(draws)
+        self.unlikely = self._unlikely(draws)
 
     @property
     def threshold(self) -> float:
@@ -210,38 +212,35 @@ class Run:
         needed = _LOOKS
         while self.gap(needed) > aim and needed < 2**27:
             needed = int(needed * 1.02) + 1
-        rate = self._rate()
         workers = _workers() if self.subject.threads else 1
-        affordable = int(seconds * workers / (rate * self.steps[-1]))
+        affordable = int(seconds * workers / self._rate())
         if affordable < needed:
-            # A power of two, so that two runs of one kernel on one machine mostly agree on it; and no fourfold stage.
-            needed, self.grow = max(_LOOKS, 1 << max(affordable, 1).bit_length() - 1), 1
+            # A quarter of a power of two, so that two runs of one kernel on one machine mostly agree on it.
+            octave = 1 << max(affordable.bit_length() - 3, 0)
+            needed = max(_LOOKS, affordable // octave * octave)
+        if affordable < 4 * needed:
+            self.grow = 1  # what is slow gets further stages of the same size
         per_look = -(-needed // _LOOKS)
         if per_look < self.subject.unit:
             self.subject.unit = max(self.subject.least_unit, 1 << (per_look - 1).bit_length())
         self.n = _LOOKS * (-(-per_look // self.subject.unit) * self.subject.unit)
 
     def _rate(self) -> float:
-        """Seconds a replica and step, compiled: of a few steps of a few replicas."""
-        for again in range(2):  # the first call compiles
-            begin = time.perf_counter()
-            for _ in self.subject.watch(self.words("pilot"), 0, self.pilot, (2, 6)):
-                pass
-            spent = time.perf_counter() - begin
-            if again == 0 and spent > 60:
-                break
-        return spent / (6 * len(jax.tree.leaves(self.pilot)[0]))
+        """Seconds a replica, all told: drawn, run and counted; compiled before."""
+        n = self.subject.unit
+        self.chunk(0, 0, n)
+        begin = time.perf_counter()
+        self.chunk(0, 0, n)
+        return (time.perf_counter() - begin) / n
 
-    def _bad_start(self, draws: Position) -> Position:
-        """One position that is hard to leave."""
-        if self.law.bad_start is not None:
-            return jax.tree.map(np.asarray, self.law.bad_start)
+    def _unlikely(self, draws: Position) -> Position:
+        """The draws, the least likely first."""
         if self.law.log_density is not None:
-            k = int(np.argmin(np.asarray(jax.vmap(self.law.log_density)(draws))))
+            order = np.argsort(np.asarray(jax.vmap(self.law.log_density)(draws)))
         else:
             first = next(iter(coordinates(draws).values()))
-            k = int(np.argmax(np.abs(first - np.median(first))))
-        return jax.tree.map(lambda a: np.asarray(a)[k], draws)
+            order = np.argsort(-np.abs(first - np.median(first)))
+        return jax.tree.map(lambda a: np.asarray(a)[order], draws)
 
     # --- one stage ---
 
@@ -418,7 +417,10 @@ class Run:
     def forget(self) -> None:
         """After how many steps the law of many chains from one bad point is near the right one, if it ever is."""
         n = min(_FORGET_REPLICAS, max(self.subject.unit, self.n))
-        start = jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], n, 0), self.bad)
+        bad = jax.tree.map(lambda a: a[0], self.unlikely)
+        if self.law.bad_start is not None:
+            bad = jax.tree.map(lambda a, like: np.asarray(a, like.dtype), self.law.bad_start, bad)
+        start = self.subject.crowd(bad, self.unlikely, n)
         within = max(_FORGET_WITHIN, 3 * float(np.sqrt(np.log(2e3) / (2 * n))))
         fresh = self.draw("forget", 0, 0, n)
         unit, begin = self.subject.unit, time.perf_counter()
@@ -507,6 +509,7 @@ class Run:
             start = self.draw("diagnosis", 0, 0, 2**17)
             diagnosis = diagnose(self.subject, self.words("diagnosis"), start)
         return Report(
+            name=name,
             kernel=self.subject.name,
             law=self.law.name,
             verdict=verdict,

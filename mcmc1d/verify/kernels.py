@@ -71,6 +71,10 @@ class Subject(abc.ABC):
         """Exact draws in the precision in which the kernel runs."""
         return start
 
+    def crowd(self, bad: Position, unlikely: Position, n: int) -> Position:
+        """`n` replicas at a bad start; `unlikely` are exact draws, the least likely first."""
+        return jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], n, 0), bad)
+
 
 class JaxKernel(eqx.Module):
     """A kernel as JAX functions of one chain, with whatever state it carries from step to step.
@@ -90,7 +94,9 @@ class JaxKernel(eqx.Module):
 
     def begin(self, key: Key, position: Any) -> Any:
         """The state at a position."""
-        return position if self.init is None else self.init(key, position)
+        state = position if self.init is None else self.init(key, position)
+        # A Python number in a state becomes an array at the first step; it had better be one from the start.
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, int | float) else leaf, state)
 
     def where(self, state: Any) -> Any:
         """The position of a state."""

@@ -101,6 +101,9 @@ def as_law(target: Any) -> Law:
     if isinstance(target, Multiplexed):
         return multiplexed_law(target)
     if callable(getattr(target, "rvs", None)) and callable(getattr(target, "cdf", None)):
+        require(
+            hasattr(target, "dist"), f"freeze the scipy distribution: scipy.stats.{getattr(target, 'name', '')}(...)"
+        )
         return _scipy_law(target)
     names = ("cdf", "bins", "statistics", "log_density", "support", "bad_start", "name")
     given = {name: getattr(target, name) for name in names if getattr(target, name, None) is not None}

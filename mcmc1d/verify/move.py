@@ -4,22 +4,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.metropolis import acceptance
-from mcmc1d.moves import Move, Proposal
-from mcmc1d.numerics import cast, still
-from mcmc1d.state import Eval, Multiplexed, State
+from mcmc1d.checks import require_instance
+from mcmc1d.moves import Move
+from mcmc1d.numerics import cast
+from mcmc1d.state import Multiplexed
 from mcmc1d.targets.gaussian_mixture import walls_and_valley
 from mcmc1d.techniques import Mixture, PiecewiseConstant, PiecewiseLinear, Ramp, Tent
-from mcmc1d.types import Array, Float, Int, Real, Scalar
-from mcmc1d.verify.compare import Points, compare, condition_number, log_abs_det, quickly
+from mcmc1d.verify.compare import Points, compare, condition_number, log_abs_det
 from mcmc1d.verify.contract import Check, ContractReport, numbers
 from mcmc1d.verify.points import cube_points
-
+from mcmc1d.verify.twice import Outcome, Twice, over
 
 _LARGEST_TOLERANCE = 1e-3
 _LEFT_OUT = 0.01
@@ -60,7 +58,9 @@ def check_move(
     The target is `hard_target()` unless given. Returns a `ContractReport`, false where a check failed. Raises
     `ValueError` where the move does not fit the target.
     """
+    require_instance(move, Move, "check_move: the move")
     target = hard_target() if target is None else target
+    require_instance(target, Multiplexed, "check_move: the target", "; wrap it: Multiplexed(target, techniques)")
     move.check(target)
     checks = []
     with jax.enable_x64(True):
@@ -74,7 +74,7 @@ class _Contract:
     """A move on a target in one precision."""
 
     def __init__(self, move: Move, target: Multiplexed, dtype: np.dtype, seed: int):
-        self.twice, self.dtype, self.seed = _Twice(move, target), dtype, seed
+        self.twice, self.dtype, self.seed = Twice(move, target), dtype, seed
         self.m, self.r = target.dim_u, move.dim_w(target)
 
     def checks(self, count: int) -> list[Check]:
@@ -82,12 +82,14 @@ class _Contract:
         n = self.twice.target.n_techniques
         index = np.random.default_rng(self.seed + 2).integers(n, size=len(uw), dtype=np.int32)
 
-        def at(points: np.ndarray, rows: np.ndarray) -> _Outcome:
-            return jax.tree.map(np.asarray, _over(self.twice, jnp.asarray(index[rows]), jnp.asarray(points)))
+        def at(points: np.ndarray, rows: np.ndarray) -> Outcome:
+            return jax.tree.map(np.asarray, over(self.twice, jnp.asarray(index[rows]), jnp.asarray(points)))
 
         out = at(uw, np.arange(len(uw)))
         condition = condition_number(out.jacobian, out.slope, out.log_det)
-        points = Points(uw, condition, cap=_LARGEST_TOLERANCE)
+        # Densities are looked up at x, whose last bits are felt where they are steep: four roundings, as a technique.
+        felt = 4 * np.finfo(self.dtype).eps * np.where(np.isfinite(out.felt), out.felt, 0)
+        points = Points(uw, condition, rounding=felt, cap=_LARGEST_TOLERANCE)
         inside = ((out.uw >= 0) & (out.uw < 1)).all(1) & (out.index >= 0) & (out.index < n)
         possible = inside & np.isfinite(out.log_det)
 
@@ -116,12 +118,12 @@ class _Contract:
         if out.kept is not None:
             # What is evaluated is x, f and p: where they are steep, the proposal's own rounding is amplified likewise.
             steep = np.where(np.isfinite(out.sensitivity), out.sensitivity, np.inf)
-            where = Points(uw, np.maximum(condition, steep), cap=_LARGEST_TOLERANCE)
+            where = Points(uw, np.maximum(condition, steep), rounding=felt, cap=_LARGEST_TOLERANCE)
             equation = "the proposal's eval = an evaluation of it"
             checks.append(compare(equation, where, lambda p, rows: at(p, rows).found, out.kept, *both))
         return checks
 
-    def _alive(self, out: "_Outcome", regular: np.ndarray, index: np.ndarray, uw: np.ndarray) -> Check:
+    def _alive(self, out: "Outcome", regular: np.ndarray, index: np.ndarray, uw: np.ndarray) -> Check:
         """At the random points: that the chain may get elsewhere."""
         n = len(uw)
         moved = (out.uw[:n, : self.m] != uw[:, : self.m]).any(1) | (out.index[:n] != index)
@@ -136,7 +138,7 @@ class _Contract:
             "be checked on one where it is not: give `target`",
         )
 
-    def _looked_at(self, out: "_Outcome", regular: np.ndarray, uw: np.ndarray) -> Check:
+    def _looked_at(self, out: "Outcome", regular: np.ndarray, uw: np.ndarray) -> Check:
         """Of the random points that may be accepted, the share that the equations below can not be held to."""
         n = len(uw)
         matter = out.acceptance[:n] > 0
@@ -152,7 +154,7 @@ class _Contract:
             f"(u, w) = {numbers(uw[k])} -> {numbers(out.uw[k])}, log_det {out.log_det[k]}",
         )
 
-    def _impossible(self, out: "_Outcome", impossible: np.ndarray, uw: np.ndarray) -> Check:
+    def _impossible(self, out: "Outcome", impossible: np.ndarray, uw: np.ndarray) -> Check:
         wrong = impossible & (out.acceptance > 0) | np.isnan(out.acceptance)
         k = int(np.argmax(wrong))
         return Check(
@@ -165,86 +167,5 @@ class _Contract:
         )
 
 
-class _Outcome(eqx.Module):
-    """A proposal, the proposal from there, and the derivatives."""
-
-    index: Int[Real, ""]
-    uw: Float[Real, " d"]
-    log_det: Scalar
-    acceptance: Scalar
-    index_back: Int[Real, ""]
-    uw_back: Float[Real, " d"]
-    log_det_back: Scalar
-    jacobian: Float[Real, "d d"]
-    slope: Float[Real, " d"]
-    kept: Eval | None
-    """What the move says of its proposal; None where it leaves the evaluation to the kernel."""
-    found: Eval
-    """What an evaluation finds there."""
-    sensitivity: Scalar
-    """The largest derivative with respect to u of what an evaluation finds, at either end."""
-
-
-class _Twice(eqx.Module):
-    """A move applied to (index, u, w), and again to what comes out, as production code applies it."""
-
-    move: Move
-    target: Multiplexed
-
-    def __call__(self, index: Int[Array, ""], uw: Float[Array, " d"]) -> _Outcome:
-        def apply(uw: Float[Array, " d"]) -> tuple[Any, Any]:
-            here = _still(self.target.evaluate(State(index, uw[: self.target.dim_u])))
-            first = self._propose(here, uw)
-            known = State(jnp.asarray(first.state.index, jnp.int32), first.state.u, first.state.eval)
-            there = self.target.evaluate(known)
-            second = self._propose(there, _flat(first))
-            found = self.target.evaluate(State(known.index, known.u)).seen
-            a = acceptance(here, Proposal(there, first.w, first.log_det))
-            differentiated = (_flat(first), jnp.asarray(first.log_det), here.seen)
-            return differentiated, (*differentiated[:2], known, a, second, found)
-
-        (jacobian, slope, slopes), aux = jax.jacfwd(apply, has_aux=True)(uw)
-        out, log_det, known, a, second, found = aux
-        slopes = (slopes, jax.jacfwd(lambda u: _still(self.target.evaluate(State(known.index, u))).seen)(known.u))
-        steepest = [jnp.max(jnp.abs(leaf), initial=0) for leaf in jax.tree.leaves(slopes)]
-        return _Outcome(
-            index=known.index,
-            uw=out,
-            log_det=log_det,
-            acceptance=a,
-            index_back=jnp.asarray(second.state.index, jnp.int32),
-            uw_back=_flat(second),
-            log_det_back=jnp.asarray(second.log_det),
-            jacobian=jacobian,
-            slope=slope,
-            kept=known.eval,
-            found=found,
-            sensitivity=jnp.max(jnp.stack(steepest)),
-        )
-
-    def _propose(self, state: State, uw: Float[Array, " d"]) -> Proposal:
-        proposal = self.move.propose(self.target, state, uw[self.target.dim_u :])
-        if proposal.w.shape != (uw.shape[0] - self.target.dim_u,) or proposal.state.u.shape != state.u.shape:
-            raise ValueError(
-                f"{type(self.move).__name__}.propose must return u' of shape {state.u.shape} and w' of shape "
-                f"{(uw.shape[0] - self.target.dim_u,)}, not {proposal.state.u.shape} and {proposal.w.shape}"
-            )
-        return proposal
-
-
-def _still(state: State) -> State:
-    """The state with an `eval` that does not move where it is -inf: in a hole a density's logarithm has no slope."""
-    return State(state.index, state.u, jax.tree.map(still, state.seen))
-
-
-def _flat(proposal: Proposal) -> Float[Array, " d"]:
-    return jnp.concatenate([proposal.state.u, proposal.w])
-
-
-def _back(out: _Outcome) -> tuple[np.ndarray, np.ndarray]:
+def _back(out: Outcome) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(out.index_back), np.asarray(out.uw_back)
-
-
-@quickly
-def _over(twice: _Twice, index: Int[Array, " n"], points: Float[Array, "n d"]) -> _Outcome:
-    return jax.vmap(twice)(index, points)

@@ -46,6 +46,8 @@ class Result:
 class Report:
     """The verdict on one kernel; true if it passed, printed for a terminal, `to_json` for a certificate."""
 
+    name: str
+    """Of the test; its random numbers derive from it and from the seed."""
     kernel: str
     law: str
     verdict: Verdict
@@ -124,7 +126,9 @@ class Report:
             f"{_count(self.stages, 'stage')}",
             f"  replicas   {self.replicas:,} exact starts; {self.moved:.1%} moved; "
             + (f"a bad start forgotten in {self.forgotten}" if self.forgotten else "no bad start forgotten"),
-            f"  again      seed={self.seed}, replicas={self.first_replicas}; took {self.seconds:.1f} s",
+            f"  again      seed={self.seed}, replicas={self.first_replicas}"
+            + (f", name={self.name!r}" if self.name != f"{self.kernel} on {self.law}" else "")
+            + f"; took {self.seconds:.1f} s",
         ]
         return "\n".join(lines)
 

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from mcmc1d.checks import require_instance
 from mcmc1d.numerics import cast, require
 from mcmc1d.techniques import Technique
 from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, steepness
@@ -36,6 +37,7 @@ def check_technique(
     sides there. `report.raise_if_failed()` is for tests. Raises `ValueError` where the technique is not a map
     between spaces of one dimension.
     """
+    require_instance(technique, Technique, "check_technique: the technique")
     checks = []
     with jax.enable_x64(True):
         for dtype in map(np.dtype, dtypes):

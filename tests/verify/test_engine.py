@@ -39,7 +39,7 @@ def host_walk(rng, x):
         (lambda key, x: (independent(key, x), {"note": 1}), laws.normal(2), {}),
         (HostKernel(host_walk, reversible=True), NORMAL, {}),
         (independent, scipy.stats.norm(), {}),
-        (lambda key, x: jax.random.poisson(key, 3.0).astype(x.dtype), scipy.stats.poisson(3.0), {}),
+        (lambda key, x: jax.random.randint(key, (), 2, 7).astype(x.dtype), scipy.stats.randint(2, 7), {}),
     ],
     ids=["reversible", "with info", "host", "scipy", "scipy discrete"],
 )
@@ -243,6 +243,9 @@ def test_a_certificate_is_json_and_a_plot_is_drawn():
         (JaxKernel, NORMAL, {}, "not the class"),
         (moves.SmallStep(), NORMAL, {}, "Multiplexed"),
         (WALK, object(), {}, "verify.Law"),
+        (WALK, scipy.stats.norm, {}, "freeze"),
+        (WALK, NORMAL, {"seconds": -1.0}, "seconds"),
+        (WALK, NORMAL, {"replicas": 1e4}, "whole number"),
         (WALK, NORMAL, {"steps": (4, 1)}, "steps must rise"),
         (WALK, NORMAL, {"power": 1.0}, "power"),
         (WALK, NORMAL, {"replicas": 3}, "too few"),

@@ -1,5 +1,7 @@
 """What a mutant is made of: a right technique or move, all of which is forwarded but for the mistake."""
 
+from typing import Any
+
 import equinox as eqx
 
 from mcmc1d.moves import Move, Proposal
@@ -12,7 +14,7 @@ from mcmc1d.types import Array, Corners, Float, Scalar
 class WrongTechnique(Technique):
     """A technique that is `right` in everything which a subclass does not redefine."""
 
-    right: eqx.AbstractVar[Technique]
+    right: eqx.AbstractVar[Any]  # a technique; a subclass may ask for a kind of it
 
     @property
     def dim_u(self) -> int:
@@ -39,7 +41,7 @@ class WrongTechnique(Technique):
 class WrongMove(Move):
     """A move that is `right` in everything which a subclass does not redefine."""
 
-    right: eqx.AbstractVar[Move]
+    right: eqx.AbstractVar[Any]  # a move
 
     def dim_w(self, target: Multiplexed) -> int:
         return self.right.dim_w(target)

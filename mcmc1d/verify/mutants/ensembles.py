@@ -157,7 +157,7 @@ MUTANTS = {
         stretch(4, mistake="all at once"),
         "walkers updated against walkers that move in the same update, themselves included",
         "Foreman-Mackey et al. 2013, section 3, on why the ensemble is split in two",
-        layer="marginal",
+        layer="density",
         law=_FOUR,
         right=stretch(4),
     ),

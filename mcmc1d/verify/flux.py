@@ -1,0 +1,150 @@
+"""The flux of a kernel between cells: what is sent where in one step from the target's law, by a Sobol net."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sp
+
+from mcmc1d.numerics import cast, jit_with, require
+from mcmc1d.types import Array, Float, UInt32
+from mcmc1d.verify.cells import Cells, net_points, number, regular, sobol
+from mcmc1d.verify.outcomes import KernelFlux, StepFlux
+from mcmc1d.verify.sparse import Matrix
+
+ATOM_WIDTH = 5e-7
+"""Half the width of an atom's cell: a few roundings of float32, whose last bit depends on the compiled program."""
+COARSE = 10
+"""Intervals of the first coordinate between which the flux of each kind of move is kept."""
+
+_BATCH = 2**17
+
+
+@dataclass(frozen=True)
+class Flux:
+    """The share of the target's mass that goes from each cell to each, estimated by several scrambles of the net."""
+
+    cells: Cells
+    scrambles: tuple[Matrix, ...]
+    """One (n, n) matrix each, of sum one (but for the rows of atoms); rows from which no point starts are empty."""
+    by_kind: Float[np.ndarray, "scrambles kinds c c"]
+    """The same for each kind of move between coarse cells (index, interval of the first coordinate), stays left out."""
+    kinds: tuple[str, ...]
+    points: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+    """Of some of the starts, one at least in each cell: the cell, the index, x, and the weight."""
+
+
+@jit_with(xla_cpu_prefer_vector_width=512)
+def _batch(flux: Any, words: UInt32[Array, "b dim"], edges: Any, first: Any, index: Any, static: Any) -> Any:
+    """One batch of the net: places and coarse places of the start and each outcome, (1 + outcomes, n), and the rest."""
+    count, counts, dtype = static
+    points = net_points(words, first, count, dtype)
+    # The shift, which differs from scramble to scramble, and the counter: a key for what draws its own numbers.
+    counters = jnp.stack([words[0, :1] + jnp.zeros(count, jnp.uint32), first + jnp.arange(count, dtype=jnp.uint32)], 1)
+
+    def one(numbers: Float[Array, " dim"], counter: UInt32[Array, " 2"]) -> Any:
+        out = flux(index, numbers, counter)
+        places = [(s.index, flux.coordinates(s)) for s in (out.start, *out.ends)]
+        cells = jnp.stack([number(edges, counts, i, q) for i, q in places])
+        rough = jnp.stack([i * COARSE + jnp.clip((q[0] * COARSE).astype(jnp.int32), 0, COARSE - 1) for i, q in places])
+        weights = out.weight * jnp.stack([jnp.asarray(p) for p in out.probabilities])
+        kinds = jnp.stack([jnp.asarray(k) for k in out.kinds])
+        return cells, rough, weights, kinds, out.weight, flux.sample(out.start)
+
+    return jax.vmap(one, in_axes=(-1, 0), out_axes=-1)(points, counters)
+
+
+class _Sums:
+    """What the batches of one scramble add up to."""
+
+    def __init__(self, cells: Cells, kinds: int):
+        self.size, self.coarse = int(np.prod(cells.shape)), cells.n_index * COARSE
+        self.matrix: Matrix = sp.csr_matrix((self.size, self.size))
+        self.by_kind = np.zeros((kinds, self.coarse**2))
+        self.mass = 0.0
+        self.kept: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.representative: Any = None
+
+    def add(self, out: Any, allowed: np.ndarray | None, keep: bool, reference: bool) -> None:
+        """Add a batch, only its starts in the `allowed` cells; `reference`: from the target's own law."""
+        places, rough, weights, kinds, start, x = (np.asarray(part) for part in out)
+        weights, start, x = weights.astype(np.float64), start.astype(np.float64), np.moveaxis(x, -1, 0)
+        if allowed is not None:
+            weights, start = weights * allowed[places[0]], start * allowed[places[0]]
+        lit = weights > 0
+        rows = np.broadcast_to(places[0], weights.shape)
+        entries = (weights[lit], (rows[lit], places[1:][lit]))
+        self.matrix = self.matrix + sp.coo_matrix(entries, shape=self.matrix.shape).tocsr()
+        if reference:
+            self.mass += float(start.sum())
+            pairs = rough[0] * self.coarse + rough[1:]
+            for k in range(len(self.by_kind)):
+                chosen = lit & (kinds == k) & (places[1:] != places[0])
+                self.by_kind[k] += np.bincount(pairs[chosen], weights[chosen], minlength=self.coarse**2)
+        if self.representative is None:
+            self.representative = np.full((self.size, *x.shape[1:]), np.nan)
+        self.representative[places[0][start > 0]] = x[start > 0]
+        if keep:
+            self.kept.append((places[0][start > 0], x[start > 0], start[start > 0]))
+
+
+def measure(
+    flux: KernelFlux | StepFlux,
+    n_index: int,
+    counts: tuple[int, ...],
+    *,
+    points: int,
+    scrambles: int,
+    seed: int,
+    atoms: tuple[np.ndarray, ...] | None = None,
+) -> Flux:
+    """The flux of `scrambles` nets of `points` points (a power of two) an index.
+
+    A start inside a cell is weighted by the target's density: a uniform one would make right kernels look wrong, at
+    the order of the cell's width squared. Where there are atoms, which the density does not charge, the starts in
+    their cells are the states in which one step of the kernel has left the target's law.
+    """
+    log2 = int(points).bit_length() - 1
+    require(points == 2**log2 and log2 >= 10, f"points must be a power of two, 1024 at least, not {points}")
+    require(scrambles >= 2, f"an error estimate needs two scrambles at least, not {scrambles}")
+    cells = regular(n_index, counts, (np.zeros(0),) * len(counts) if atoms is None else atoms, ATOM_WIDTH)
+    batch, dtype = min(_BATCH, points // 2), jnp.zeros(()).dtype
+    flux = cast(flux, dtype)
+    passes: list[tuple[KernelFlux | StepFlux, np.ndarray | None, int]] = [(flux, None, points)]
+    atomic = dataclasses.replace(cells, used=np.arange(np.prod(cells.shape))).atomic
+    if atomic.any():
+        # Half of the points do, for the small share of the mass that a wrong law has there.
+        passes = [(flux, ~atomic, points), (dataclasses.replace(flux, lead=1), atomic, points // 2)]
+    edges = tuple(jnp.asarray(e, dtype) for e in cells.edges)
+    sums = [_Sums(cells, len(flux.kinds)) for _ in range(scrambles)]
+    for r, total in enumerate(sums):
+        for each, allowed, count in passes:
+            for index in range(n_index):
+                words = jnp.asarray(sobol(each.dim, log2, np.random.default_rng([seed, r, index, each.lead])))
+                for first in range(0, count, batch):
+                    at = (jnp.uint32(first), jnp.int32(index), (batch, counts, dtype))
+                    total.add(_batch(each, words, edges, *at), allowed, r == 0 and first == 0, each.lead == 0)
+    return _gather(cells, sums, flux.kinds)
+
+
+def _gather(cells: Cells, sums: list[_Sums], kinds: tuple[str, ...]) -> Flux:
+    """The used cells alone, and everything relative to the target's mass."""
+    reached: Matrix = sum((s.matrix for s in sums[1:]), sums[0].matrix)
+    used = np.flatnonzero((np.diff(reached.indptr) > 0) | (np.asarray(reached.sum(0)).ravel() > 0))
+    place, x, weight = (np.concatenate(parts) for parts in zip(*sums[0].kept, strict=True))
+    # Every cell has one point at least, of a weight that does not matter where there are others.
+    seen = [np.flatnonzero(~np.isnan(s.representative.reshape(s.size, -1)).any(1)) for s in sums]
+    place = np.concatenate([place, *seen])
+    x = np.concatenate([x, *(s.representative[known] for s, known in zip(sums, seen, strict=True))])
+    weight = np.concatenate([weight, np.full(len(place) - len(weight), 1e-6 * weight.mean())])
+    coarse = sums[0].coarse
+    return Flux(
+        dataclasses.replace(cells, used=used),
+        tuple((s.matrix[used][:, used] / s.mass).tocsr() for s in sums),
+        np.stack([s.by_kind.reshape(-1, coarse, coarse) / s.mass for s in sums]),
+        kinds,
+        (np.searchsorted(used, place), place // (sums[0].size // cells.n_index), x, weight),
+    )
