@@ -260,7 +260,9 @@ class Run:
 
     def stage(self, stage: int, n: int, first: int = 0) -> Iterable[_Tally]:
         """The tallies of a stage's chunks, in their order, as they come in."""
-        size = min(_CHUNK // self.subject.unit * self.subject.unit or self.subject.unit, -(-n // _LOOKS))
+        unit = self.subject.unit
+        # Few enough replicas are not worth an early look.
+        size = min(max(_CHUNK // unit, 1) * unit, max(-(-n // _LOOKS), min(n, 4 * unit)))
         chunks = [(k, min(size, n - k * size)) for k in range(-(-n // size))]
         wide = jnp.zeros(()).dtype == jnp.float64
 
