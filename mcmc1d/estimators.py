@@ -44,10 +44,14 @@ class Histogram(Estimator):
 
     def __init__(self, bins: int | ArrayLike = 100, *, joint: bool = False, domain: tuple[float, float] = (0.0, 1.0)):
         """`bins`: how many equal ones over the `domain`, or their rising edges; `joint`: by technique as well."""
-        self.regular = isinstance(bins, int)
-        if isinstance(bins, int):
-            require(bins >= 1, f"Histogram: bins must be at least 1, not {bins}")
-            self.edges = np.linspace(*domain, bins + 1)
+        self.regular = np.ndim(bins) == 0
+        if self.regular:
+            count = np.asarray(bins)  # a NumPy integer will do as well
+            require(
+                np.issubdtype(count.dtype, np.integer) and int(count) >= 1,
+                f"Histogram: bins must be a whole number, 1 at least, or edges, not {bins}",
+            )
+            self.edges = np.linspace(*domain, int(count) + 1)
         else:
             self.edges = np.asarray(bins, np.float64)
             require(

@@ -1,6 +1,7 @@
 """The one place that accepts or rejects, and kernels made of it."""
 
 import abc
+import itertools
 from collections.abc import Sequence
 from typing import Literal
 
@@ -8,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from mcmc1d.checks import require_instance
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.numerics import in_unit_cube, require
 from mcmc1d.state import Multiplexed, State
@@ -72,6 +74,7 @@ class Metropolis(Kernel):
     deposit: Literal["expected", "plain"] = eqx.field(static=True, default="expected")
 
     def __check_init__(self):
+        require_instance(self.move, Move, "Metropolis: the move")
         require(
             self.deposit in ("expected", "plain"),
             f'Metropolis: deposit must be "expected" or "plain", not {self.deposit!r}',
@@ -91,19 +94,32 @@ class Metropolis(Kernel):
         return accept(target, state, self.move.propose(target, state, w[:-1]), w[-1], self.deposit)
 
 
+def as_kernel(kernel: Kernel | Move, who: str) -> Kernel:
+    """A kernel as it is; a move as `Metropolis` accepts it."""
+    if isinstance(kernel, Move):
+        return Metropolis(kernel)
+    require_instance(kernel, Kernel, who, "; give a Kernel or a Move")
+    return kernel
+
+
 class Cycle(Kernel):
     """Several kernels one after the other in each step: invariant where each is, but not reversible."""
 
     kernels: tuple[Kernel, ...]
 
-    def __init__(self, kernels: Sequence[Kernel]):
-        """`kernels`: in their order within a step."""
-        self.kernels = tuple(kernels)
+    def __init__(self, kernels: Sequence[Kernel | Move]):
+        """`kernels`: in their order within a step; a move is accepted by `Metropolis`."""
+        self.kernels = tuple(as_kernel(kernel, "Cycle: a kernel") for kernel in kernels)
         require(len(self.kernels) > 0, "Cycle: give one kernel at least")
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        return tuple(name for kernel in self.kernels for name in kernel.kinds)
+        """Their kinds; a name that comes again is numbered: "SmallStep", "SmallStep 2"."""
+        kinds: list[str] = []
+        for name in (name for kernel in self.kernels for name in kernel.kinds):
+            numbered = (f"{name} {k}" if k > 1 else name for k in itertools.count(1))
+            kinds.append(next(kind for kind in numbered if kind not in kinds))
+        return tuple(kinds)
 
     def dim_w(self, target: Multiplexed) -> int:
         return sum(kernel.dim_w(target) for kernel in self.kernels)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import cubature
 
+from mcmc1d.checks import rising
 from mcmc1d.numerics import cast, require
 from mcmc1d.types import Array, Float
 
@@ -26,10 +27,7 @@ def integrate(
     then halved until the Gauss-Kronrod error estimate is under `tolerance` times the whole integral. Returns the
     integrals and their error estimates, both of shape (n, ...). Raises `ValueError` where that is out of reach.
     """
-    edges = np.asarray(edges, np.float64)
-    require(
-        edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)), f"integrate: edges must rise: {edges}"
-    )
+    edges = rising(edges, "integrate")
     inner = [b for b in breaks if edges[0] < b < edges[-1]]
     cuts = np.unique(np.concatenate([edges, inner]))
     with jax.enable_x64(True):
@@ -45,14 +43,22 @@ def integrate(
         a, b = cuts[:-1], cuts[1:]
         scale = np.abs(on_nodes(np.linspace(0, 1, 33)[1:-1, None], a, b)).mean(0).sum(0).max()
         require(bool(np.isfinite(scale)), "integrate: the function is not finite somewhere inside the bins")
-        result = cubature(
-            lambda t: on_nodes(t, a, b),
-            [0.0],
-            [1.0],
-            rule="gk21",
-            rtol=0,
-            atol=max(tolerance * scale / len(a), 1e-300),
-            max_subdivisions=2000,
+        with np.errstate(invalid="ignore"):  # infinities are looked for below
+            result = cubature(
+                lambda t: on_nodes(t, a, b),
+                [0.0],
+                [1.0],
+                rule="gk21",
+                rtol=0,
+                atol=max(tolerance * scale / len(a), 1e-300),
+                max_subdivisions=2000,
+            )
+    endless = ~np.isfinite(result.estimate.reshape(len(a), -1)).all(1)
+    if endless.any():
+        k = int(np.argmax(endless))
+        raise ValueError(
+            f"integrate: the function is unbounded in [{a[k]:.6g}, {b[k]:.6g}], and its integral there is infinite or "
+            "can not be told; cut the pole off, or move it to x = 0, where floats are dense, if it is integrable"
         )
     require(
         result.status == "converged",

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from mcmc1d.numerics import require
 from mcmc1d.types import Array, Float, Int, Key, UInt32
 
 # Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3": Threefry-2x32 with 20 rounds, as in JAX.
@@ -39,6 +40,11 @@ def uniforms(key: Key, step: Int[Array, ""] | int, shape: tuple[int, int], dtype
     wide = jnp.dtype(dtype).itemsize == 8
     blocks = count if wide else -(-count // 2)
     data = jax.random.key_data(key)
+    require(
+        data.shape == (2,),
+        f"the random key must be one threefry key, as jax.random.key(seed) makes it, not of {data.shape} words; "
+        'name the generator where it is not the default: jax.random.key(seed, impl="threefry2x32")',
+    )
     x, y = threefry(data, jnp.asarray(step).astype(jnp.uint32), jnp.arange(blocks, dtype=jnp.uint32))
     if not wide:
         bits = jnp.concatenate([x, y])[:count].reshape(shape)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_instance, rising
 from mcmc1d.numerics import cast, is_concrete, pick, require
 from mcmc1d.quadrature import integrate, midpoints
 from mcmc1d.targets import DensityOf, Target
@@ -73,8 +74,11 @@ class Multiplexed(eqx.Module):
         probes: int = 2048,
     ):
         """`weights`: the balance heuristic unless given; a function (x, p[n]) -> w[n] will do."""
+        require_instance(target, Target, "Multiplexed: the target", "; FromFunction makes one of a function")
         self.target = target
-        self.techniques = (techniques,) if isinstance(techniques, Technique) else tuple(techniques)
+        self.techniques = tuple(techniques) if isinstance(techniques, Sequence) else (techniques,)
+        for technique in self.techniques:
+            require_instance(technique, Technique, "Multiplexed: a technique")
         if weights is None:
             weights = Balance()
         self.weights = weights if isinstance(weights, Weights) else FromFunction(weights)
@@ -140,10 +144,15 @@ class Multiplexed(eqx.Module):
         return self.weights.log_weights(x, log_p)
 
     def log_c(self, index: Index, x: Float[Array, "..."], log_f: Scalar, log_p: Sequence[Scalar]) -> Scalar:
-        """Log w_i(x) f(x) / p_i(x); -inf where the target, or the technique's share of it, is zero."""
+        """Log w_i(x) f(x) / p_i(x); -inf where the target, or the technique's share of it, is zero.
+
+        Where the target is NaN it is +inf: no law is defined, and to reject silently would make one up. A chain that
+        comes there stays, so that whoever looks at its state when it is done finds it; the runner does.
+        """
         ratio = pick(self.log_weights(x, log_p), index) - pick(log_p, index)
         # -inf - -inf: a sample where its own technique's density is zero to the last bit stands for nothing.
-        return jnp.where(jnp.isnan(ratio), -jnp.inf, ratio) + log_f
+        log_c = jnp.where(jnp.isnan(ratio), -jnp.inf, ratio) + log_f
+        return jnp.where(jnp.isnan(log_f), jnp.inf, log_c)
 
     def joint_masses(self, edges: np.ndarray) -> np.ndarray:
         """The exact law of (technique, x): the integral of w_i f / b over each bin, of shape (n_techniques, bins).
@@ -151,7 +160,7 @@ class Multiplexed(eqx.Module):
         By adaptive quadrature, split where f, p and w are known to jump; its sum over the techniques is the law of
         x, which `target.bin_masses` gives independently.
         """
-        edges = np.asarray(edges, np.float64)
+        edges = rising(edges, "joint_masses")
         lower, upper = self.target.domain
         require(
             bool(edges[0] <= lower and upper <= edges[-1]),
@@ -199,8 +208,10 @@ def _probe(target: Multiplexed, probes: int) -> None:
     require(
         log_f.shape == (len(points),), f"{name}.log_f must return one number for one x, not shape {log_f.shape[1:]}"
     )
-    first(np.isnan(log_f), f"{name} is NaN at x = {{x}}: the density is negative or undefined there")
-    first(np.isposinf(log_f), f"{name} is infinite at x = {{x}}")
+    if np.isnan(log_f).any():
+        with jax.enable_x64(True):
+            raise ValueError(target.target.complaint(points[np.argmax(np.isnan(log_f))]))
+    first(np.isposinf(log_f), f"{name} is infinite at x = {{x}}: a pole must not lie on a probe; move it a little")
     require(bool(np.any(np.isfinite(log_f))), f"{name} is zero everywhere on its domain: there is nothing to sample")
     lit = np.isfinite(log_f)
     for i, technique in enumerate(target.techniques):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 
-from mcmc1d.numerics import log_sum, parameter, require_positive
+from mcmc1d.numerics import log_sum, parameter, require, require_positive
 from mcmc1d.types import Array, Float, Scalar
 
 
@@ -72,6 +72,10 @@ class FromFunction(Weights):
 
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
         w = jnp.asarray(self.function(x, jnp.exp(jnp.stack(log_p))))
+        require(
+            w.shape == (len(log_p),),
+            f"the weights' function must return one weight for each technique, shape ({len(log_p)},), not {w.shape}",
+        )
         return [jnp.log(w[i]) for i in range(len(log_p))]
 
 

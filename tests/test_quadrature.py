@@ -62,7 +62,7 @@ def test_hundreds_of_undeclared_jumps_are_an_error_that_names_breaks():
 
 @pytest.mark.parametrize("edges", [[0, 1, 1], [1, 0], [0], [[0, 1], [2, 3]]])
 def test_edges_must_rise(edges):
-    with pytest.raises(ValueError, match="edges must rise"):
+    with pytest.raises(ValueError, match="the edges must rise"):
         integrate(jnp.exp, np.array(edges, float))
 
 

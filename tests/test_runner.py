@@ -8,10 +8,10 @@ import pytest
 import mcmc1d
 from mcmc1d import chain, moves, targets, techniques
 from mcmc1d.moves import Move, Proposal
+from mcmc1d.moves.technique import LOPSIDED
 from mcmc1d.verify.goodness import p_value, smallest_gap
 from mcmc1d.verify.mutants.jumps import no_jacobian
 
-LOPSIDED = [[0.2, 0.5, 0.3], [0.1, 0.1, 0.8], [0.6, 0.4, 0.0]]
 EDGES = np.linspace(0, 1, 41)
 
 
@@ -113,9 +113,48 @@ def test_expectation_and_cycle():
     assert set(run.acceptance()) == {"LargeStep", "SmallStep"}
 
 
+def test_a_cycle_wraps_moves_and_tells_equal_kinds_apart():
+    cycle = mcmc1d.Cycle([moves.SmallStep(0.01), mcmc1d.Metropolis(moves.LargeStep()), moves.SmallStep(0.5)])
+    assert cycle.kinds == ("SmallStep", "LargeStep", "SmallStep 2")
+    rates = short_run(move=cycle, estimators={"acceptance": mcmc1d.Acceptance()}).acceptance()
+    assert rates["SmallStep"] > rates["SmallStep 2"]
+
+
+@pytest.mark.parametrize(("chains", "blocks"), [(1, 1), (2, 2), (7, 7), (9, 3), (8192, 8)])
+def test_blocks_divide_the_chains_unless_given(chains, blocks):
+    estimators = {"h": mcmc1d.Histogram(np.int64(4))}
+    run = mcmc1d.run(jax.random.key(0), moves.SmallStep(), hard(), steps=1, chains=chains, estimators=estimators)
+    assert run.sums["h"].shape == (blocks, 4)
+
+
 def test_trace_keeps_every_state():
     trace = mcmc1d.trace(jax.random.key(0), moves.SmallStep(), hard(), steps=5, chains=3)
     assert trace.x.shape == trace.index.shape == (5, 3)
+
+
+def test_trace_starts_where_it_is_told():
+    start = mcmc1d.State(np.array([2, 0]), np.array([[0.5, 0.25], [1 - 1e-12, 0]]))  # rounds to 1 in float32
+    trace = mcmc1d.trace(jax.random.key(0), moves.SmallStep(1e-6), hard(), steps=1, chains=2, start=start)
+    assert trace.index.tolist() == [[2, 0]]
+    assert np.isclose(trace.x[0, 0], hard().forward(2, jnp.asarray(start.u[0]))[0], atol=1e-4)
+    assert np.isfinite(trace.x).all()
+
+
+@pytest.mark.parametrize("do", [mcmc1d.run, mcmc1d.trace])
+@pytest.mark.parametrize(
+    ("index", "u", "message"),
+    [
+        (np.zeros(3, np.int32), np.zeros((3, 2)), r"start.u must be of shape \(2, 2\), not \(3, 2\)"),
+        (np.zeros(3, np.int32), np.zeros((2, 2)), r"start.index must be of shape \(2,\)"),
+        (np.array([0, 3]), np.zeros((2, 2)), r"start.index must lie in 0..2 and .* chain 1 has 3"),
+        (np.array([0, -1]), np.zeros((2, 2)), "chain 1 has -1"),
+        (np.array([0, 1]), np.array([[0, 0], [1.0, 0]]), r"start.u in \[0, 1\); chain 1"),
+        (np.array([0, 1]), np.array([[0, np.nan], [0, 0]]), "chain 0 has 0"),
+    ],
+)
+def test_a_start_that_is_none_is_refused(do, index, u, message):
+    with pytest.raises(ValueError, match=message):
+        do(jax.random.key(0), moves.SmallStep(), hard(), steps=1, chains=2, start=mcmc1d.State(index, u))
 
 
 def test_normalisation_is_the_integral_of_f():

@@ -19,7 +19,7 @@ def of(function):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: mcmc1d.Multiplexed(of(lambda x: x - 0.5), PAIR), "FromFunction is NaN at x = 0.00"),
+        (lambda: mcmc1d.Multiplexed(of(lambda x: x - 0.5), PAIR), "FromFunction is negative at x = 0.00"),
         (lambda: mcmc1d.Multiplexed(of(lambda x: x / 0 * 0), PAIR), "NaN"),
         (lambda: mcmc1d.Multiplexed(of(lambda x: 0 * x), PAIR), "zero everywhere"),
         (lambda: mcmc1d.Multiplexed(of(lambda x: 1 / (0 * x)), PAIR), "infinite"),
@@ -42,11 +42,33 @@ def of(function):
         (lambda: moves.Mixture({"a": (0.5, moves.LargeStep())}), "sum to one"),
         (lambda: weights.Power(-1), "beta must be positive"),
         (lambda: mcmc1d.Histogram([0, 0.5, 0.5]), "rising"),
+        (lambda: mcmc1d.Histogram(2.5), "must be a whole number"),
+        (lambda: mcmc1d.Multiplexed(SINUSOID, techniques.Tent), r"give an instance, Tent\(...\), not the class Tent"),
+        (lambda: mcmc1d.Multiplexed(lambda x: x, PAIR), "FromFunction makes one of a function"),
+        (lambda: mcmc1d.Multiplexed(SINUSOID, PAIR, lambda x, p: p[:1]), r"shape \(2,\), not \(1,\)"),
+        (lambda: mcmc1d.Multiplexed(SINUSOID, PAIR, lambda x, p: p.sum()), r"shape \(2,\), not \(\)"),
+        (lambda: techniques.Mixture(PAIR, (1.5, -0.5)), "must not be negative"),
+        (lambda: moves.Mixture({"a": (1.5, moves.LargeStep()), "b": (-0.5, moves.SmallStep())}), "not be negative"),
     ],
 )
 def test_it_is_refused_with_the_reason(make, message):
     with np.errstate(all="ignore"), pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        SINUSOID,
+        targets.GaussianMixture([0.5], [0.1], [1]),
+        targets.PiecewiseLinear([0, 1], [1, 2]),
+        targets.Tabulated([1]),
+    ],
+)
+@pytest.mark.parametrize("edges", [[0, 0.5, 0.5, 1], [1, 0], [0.5]])
+def test_bins_that_do_not_rise_are_refused(target, edges):
+    with pytest.raises(ValueError, match=f"{type(target).__name__}.bin_masses: the edges must rise"):
+        target.bin_masses(np.array(edges, float))
 
 
 HEURISTICS = [weights.Balance(), weights.Power(), weights.Maximum(), lambda x, p: p / p.sum()]

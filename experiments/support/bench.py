@@ -53,10 +53,22 @@ def multiplexed_step() -> tuple[mcmc1d.Multiplexed, StepAndChange]:
 
 
 def measure(rounds: int) -> dict[str, Any]:
-    """Alternating rounds of C and of this library on one pinned core, and the medians of their steps per second."""
+    """Alternating rounds of C and of this library on one pinned core, and the medians of their steps per second.
+
+    Which cores the process may use is afterwards what it was.
+    """
     pinned = hasattr(os, "sched_setaffinity")
-    if pinned:
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    if not pinned:
+        return _measure(rounds) | {"pinned to one core": False}
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        return _measure(rounds) | {"pinned to one core": True}
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def _measure(rounds: int) -> dict[str, Any]:
     target, move = multiplexed_step()
     start = mcmc1d.exact_start(jax.random.key(0), target, CHAINS)
     estimators = {"x": mcmc1d.Histogram(BINS)}
@@ -80,7 +92,6 @@ def measure(rounds: int) -> dict[str, Any]:
         "steps/s in C": theirs,
         "rounds": rounds,
         "chains": CHAINS,
-        "pinned to one core": pinned,
         "jax": jax.__version__,
     }
 

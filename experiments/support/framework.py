@@ -13,13 +13,12 @@ from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import matplotlib
 import matplotlib.style
 import xarray as xr
 from matplotlib.figure import Figure
-from rich.table import Table
 
 import experiments
 from mcmc1d.numerics import require
@@ -54,29 +53,6 @@ class Claim:
 
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, the work done in it and the work in all."""
-
-
-class Experiment(Protocol):
-    """The module of an experiment."""
-
-    Config: type
-    PROFILES: Mapping[str, Any]
-
-    def run(self, config: Any, seed: int, progress: Progress) -> xr.Dataset:
-        """Do the experiment: numbers only, from the configuration and the seed only."""
-        ...
-
-    def draw(self, data: xr.Dataset) -> Figure:
-        """The figure, from the data alone."""
-        ...
-
-    def table(self, data: xr.Dataset) -> Table:
-        """The table beside the figure."""
-        ...
-
-    def judge(self, data: xr.Dataset) -> list[Claim]:
-        """The claims and their verdicts, from the data alone."""
-        ...
 
 
 def names() -> list[str]:
@@ -149,7 +125,11 @@ def markdown(claims: list[Claim]) -> list[str]:
 
 
 def write(out: Path, name: str, data: xr.Dataset, figure: Figure, record: Mapping[str, Any]) -> list[Path]:
-    """NAME.png, .pdf, .nc and .json in `out`, made under other names and renamed once all are whole."""
+    """NAME.png, .pdf, .nc and .json in `out`, made under other names and renamed once all are whole.
+
+    The .json is removed first and renamed last: it is the commit mark, and where there is one its companions are
+    those of its run, whatever was killed in between.
+    """
     attributes = {key: value if isinstance(value, str | int) else json.dumps(value) for key, value in record.items()}
     # Beside `out`, so that a rename stays on one file system; the leading dot keeps a half-made one out of sight.
     with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=out) as folder:
@@ -159,6 +139,7 @@ def write(out: Path, name: str, data: xr.Dataset, figure: Figure, record: Mappin
         figure.savefig(made[1], metadata={"CreationDate": None})
         data.assign_attrs(attributes).to_netcdf(made[2], engine="h5netcdf")
         made[3].write_text(json.dumps(record, indent=2) + "\n")
+        (out / made[3].name).unlink(missing_ok=True)
         return [path.replace(out / path.name) for path in made]
 
 
@@ -191,7 +172,6 @@ def _commit() -> str:
 
 __all__ = [
     "Claim",
-    "Experiment",
     "Progress",
     "configure",
     "load",

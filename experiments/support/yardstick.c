@@ -1,4 +1,4 @@
-// One step of the 1D multiplexed chain, written by hand: what this processor can do (see yardstick.py for the step).
+// One step of the 1D multiplexed chain, written by hand: what this processor can do (see bench.py for the step).
 // GCC's vector extension, 16 floats wide: one AVX-512 register, or two of AVX2. W such groups are interleaved.
 //   cc -O3 -march=native -ffast-math yardstick.c -o yardstick -lm && ./yardstick GROUPS STEPS SEED
 #ifdef __AVX512F__

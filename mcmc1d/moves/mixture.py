@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.checks import require_instance
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick, require
 from mcmc1d.state import Eval, Multiplexed, State
@@ -28,6 +29,8 @@ class Mixture(Move):
         """`moves`: name -> (probability, move); the probabilities sum to one."""
         require(len(moves) > 0, "Mixture: give one move at least")
         self.names = tuple(moves)
+        for name, (_, move) in moves.items():
+            require_instance(move, Move, f"Mixture: move {name!r}")
         self.moves = tuple(move for _, move in moves.values())
         chances = [probability for probability, _ in moves.values()]
         self.probabilities = (
@@ -37,7 +40,8 @@ class Mixture(Move):
             p = np.asarray(self.probabilities)
             require(
                 bool(np.all(p >= 0)) and abs(p.sum() - 1) < 1e-6,
-                f"Mixture: the moves' probabilities must sum to one; {dict(zip(self.names, p, strict=True))}",
+                "Mixture: the moves' probabilities must not be negative, and sum to one; "
+                f"{dict(zip(self.names, p.tolist(), strict=True))}",
             )
 
     @property

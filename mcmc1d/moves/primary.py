@@ -27,7 +27,9 @@ class SmallStep(Move):
 
 
 class ExponentialStep(Move):
-    """Kelemen et al. 2002: u' = wrap(u +- s2 (s1 / s2)^r), so that steps of every size in [s1, s2] are as likely.
+    """Kelemen et al. 2002: u' = wrap(u +- s2 (s1 / s2)^r), a step log-uniform in [s1, s2].
+
+    Every order of magnitude between the two is as likely as another, not every size.
 
     The first half of each w means up, the second down, with r the place inside the half; w' is the same place in the
     other half.

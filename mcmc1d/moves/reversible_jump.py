@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from numpy.typing import ArrayLike
 
 from mcmc1d.moves.base import Move, Proposal
-from mcmc1d.moves.technique import Proposals
+from mcmc1d.moves.technique import LOPSIDED, Proposals
 from mcmc1d.numerics import choose, cumulative, pick, unchoose
 from mcmc1d.state import Eval, Multiplexed, State
 from mcmc1d.types import Array, Float, Index, Scalar
@@ -65,6 +65,6 @@ def _jump(target: Multiplexed, state: State, j: Index, back: Scalar, log_t: Scal
 
 EXAMPLES = {
     "reversible_jump": ReversibleJump(),
-    "reversible_jump_lopsided": ReversibleJump([[0.2, 0.5, 0.3], [0.1, 0.1, 0.8], [0.6, 0.4, 0.0]]),
+    "reversible_jump_lopsided": ReversibleJump(LOPSIDED),
     "aimed_jump": AimedJump(),
 }

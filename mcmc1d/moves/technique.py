@@ -124,11 +124,12 @@ def log_ratio(numerator: Scalar, denominator: Scalar) -> Scalar:
     return jnp.where(numerator > 0, jnp.log(numerator / denominator), -jnp.inf)
 
 
-_LOPSIDED = [[0.2, 0.5, 0.3], [0.1, 0.1, 0.8], [0.6, 0.4, 0.0]]  # not symmetric; 2 never proposes itself
+LOPSIDED = [[0.2, 0.5, 0.3], [0.1, 0.1, 0.8], [0.6, 0.4, 0.0]]
+"""An example of T that is not symmetric; technique 2 never proposes itself."""
 
 EXAMPLES = {
     "technique_change": TechniqueChange(),
-    "technique_change_lopsided": TechniqueChange(_LOPSIDED),
-    "step_and_change": StepAndChange(SmallStep(), TechniqueChange(_LOPSIDED)),
+    "technique_change_lopsided": TechniqueChange(LOPSIDED),
+    "step_and_change": StepAndChange(SmallStep(), TechniqueChange(LOPSIDED)),
     "large_step_and_change": StepAndChange(LargeStep()),
 }

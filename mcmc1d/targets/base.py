@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mcmc1d.quadrature import integrate
 from mcmc1d.types import Array, Corners, Float, Scalar
@@ -34,6 +35,12 @@ class Target(eqx.Module):
     @abc.abstractmethod
     def bin_masses(self, edges: np.ndarray) -> np.ndarray:
         """The exact integral of f over each bin between the n + 1 `edges`, in float64 on the host: shape (n,)."""
+
+    def complaint(self, x: ArrayLike) -> str:
+        """What is wrong with f at an x where `log_f` is NaN or infinite, for a message."""
+        if np.isposinf(self.log_f(jnp.asarray(x))):
+            return f"{type(self).__name__} is infinite at x = {x}"
+        return f"{type(self).__name__} is NaN at x = {x}: the density is negative or undefined there"
 
     def quadrature(self, edges: np.ndarray) -> np.ndarray:
         """`bin_masses` without a closed form: adaptive quadrature of f, right to 1e-11 of the whole."""

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mcmc1d.numerics import require
 from mcmc1d.targets.base import Target
@@ -14,8 +15,7 @@ from mcmc1d.types import Scalar
 class FromFunction(Target):
     """f given as a JAX function of a scalar x in [lower, upper]; bin masses by adaptive quadrature.
 
-    A negative or NaN value of f becomes a NaN of `log_f`, which
-    every user of the target reports with its point.
+    A negative or NaN value of f becomes a NaN of `log_f`, which every user of the target reports with its point.
     """
 
     f: Callable[[Scalar], Scalar]
@@ -41,6 +41,12 @@ class FromFunction(Target):
     def log_f(self, x: Scalar) -> Scalar:
         inside = (x >= self.lower) & (x <= self.upper)
         return jnp.where(inside, jnp.log(self.f(x)), -jnp.inf)
+
+    def complaint(self, x: ArrayLike) -> str:
+        f = float(self.f(jnp.asarray(x)))
+        if f < 0:
+            return f"FromFunction is negative at x = {x}: f = {f:.6g}, and a density never is; give max(f, 0) or |f|"
+        return f"FromFunction is {'NaN' if np.isnan(f) else f} at x = {x}"
 
     def bin_masses(self, edges: np.ndarray) -> np.ndarray:
         return self.quadrature(edges)

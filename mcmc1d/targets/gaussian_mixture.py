@@ -7,6 +7,7 @@ from jax.nn import logsumexp
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
+from mcmc1d.checks import rising
 from mcmc1d.numerics import is_concrete, parameter, require, require_positive
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Float, Real, Scalar
@@ -38,7 +39,7 @@ class GaussianMixture(Target):
         return jnp.where((x >= 0) & (x <= 1), logsumexp(log_terms), -jnp.inf)
 
     def bin_masses(self, edges: np.ndarray) -> np.ndarray:
-        edges = np.clip(np.asarray(edges, np.float64), 0, 1)[:, None]
+        edges = np.clip(rising(edges, "GaussianMixture.bin_masses"), 0, 1)[:, None]
         z = (edges - np.asarray(self.means)) / np.asarray(self.sigmas)
         # Each difference is taken in the tail where both probabilities are small.
         lower = np.where(z[:-1] > 0, ndtr(-z[:-1]) - ndtr(-z[1:]), ndtr(z[1:]) - ndtr(z[:-1]))

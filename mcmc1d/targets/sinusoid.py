@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import rising
 from mcmc1d.numerics import is_concrete, parameter, require, require_positive, sin_turns
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
@@ -28,11 +29,12 @@ class Sinusoid(Target):
     def log_f(self, x: Scalar) -> Scalar:
         turns = self.frequency * x + self.phase
         inside = (x >= 0) & (x <= 1)
-        return jnp.log(jnp.where(inside, self.scale * (1 + self.amplitude * sin_turns(turns)), 0))
+        wave = 1 + self.amplitude * sin_turns(turns)  # with an amplitude of 1, under zero by a rounding
+        return jnp.log(jnp.where(inside & (wave > 0), self.scale * wave, 0))
 
     def bin_masses(self, edges: np.ndarray) -> np.ndarray:
         a, n, phase, scale = (float(v) for v in (self.amplitude, self.frequency, self.phase, self.scale))
-        x = np.clip(np.asarray(edges, np.float64), 0, 1)
+        x = np.clip(rising(edges, "Sinusoid.bin_masses"), 0, 1)
         left, width = x[:-1], np.diff(x)
         # The difference of two cosines as a product, so that narrow bins keep their accuracy.
         wave = np.sin(np.pi * (n * (2 * left + width) + 2 * phase)) * np.sin(np.pi * n * width)

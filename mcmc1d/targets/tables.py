@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.numerics import locate, require
+from mcmc1d.checks import density_table, rising
+from mcmc1d.numerics import locate
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Corners, Float, Real, Scalar
 
@@ -17,12 +18,7 @@ class PiecewiseLinear(Target):
 
     def __init__(self, knots: ArrayLike, values: ArrayLike):
         """`knots`: n + 1 rising numbers; `values`: f there, none negative, not all zero."""
-        self.knots, self.values = np.asarray(knots, np.float64), np.asarray(values, np.float64)
-        require(
-            self.knots.ndim == 1 and self.knots.size >= 2 and bool(np.all(np.diff(self.knots) > 0)),
-            f"PiecewiseLinear: give at least two rising knots, not {self.knots}",
-        )
-        _require_density("PiecewiseLinear", self.values, self.knots.shape)
+        self.knots, self.values = density_table("PiecewiseLinear", knots, values, cells=False)
 
     @property
     def domain(self) -> Corners:
@@ -37,7 +33,7 @@ class PiecewiseLinear(Target):
 
     def bin_masses(self, edges: np.ndarray) -> np.ndarray:
         knots, values = np.asarray(self.knots), np.asarray(self.values)
-        edges = np.clip(np.asarray(edges, np.float64), knots[0], knots[-1])
+        edges = np.clip(rising(edges, "PiecewiseLinear.bin_masses"), knots[0], knots[-1])
         # The trapezoid rule is exact between knots; the bins are cut there and the pieces summed.
         cuts = np.union1d(edges, knots)
         f = np.interp(cuts, knots, values)
@@ -52,8 +48,8 @@ class Tabulated(Target):
 
     def __init__(self, values: ArrayLike):
         """`values`: f in each cell, none negative, not all zero."""
-        self.values = np.asarray(values, np.float64)
-        _require_density("Tabulated", self.values, (self.values.size,))
+        n = np.size(values)
+        _, self.values = density_table("Tabulated", np.arange(n + 1), values, cells=True)
 
     @property
     def breaks(self) -> tuple[float, ...]:
@@ -65,19 +61,12 @@ class Tabulated(Target):
         return jnp.where(inside, jnp.log(jnp.asarray(self.values))[locate(self._edges().astype(x.dtype), x)], -jnp.inf)
 
     def bin_masses(self, edges: np.ndarray) -> np.ndarray:
-        inside = np.clip(np.asarray(edges, np.float64), 0, 1)
+        inside = np.clip(rising(edges, "Tabulated.bin_masses"), 0, 1)
         total = np.concatenate([[0.0], np.cumsum(np.asarray(self.values) / self.values.size)])
         return np.diff(np.interp(inside, self._edges(), total))
 
     def _edges(self) -> np.ndarray:
         return np.arange(self.values.shape[0] + 1) / self.values.shape[0]
-
-
-def _require_density(name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-    require(values.shape == shape, f"{name}: needs {shape[0]} values, not shape {values.shape}")
-    bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0)))
-    require(bad.size == 0, f"{name}: a density is finite and not negative; value {bad[:1]} is {values[bad[:1]]}")
-    require(bool(values.any()), f"{name}: the target is zero everywhere")
 
 
 EXAMPLES = {

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.checks import require_instance
 from mcmc1d.numerics import choose, cumulative, is_concrete, log_sum, parameter, pick, require, unchoose
 from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
 from mcmc1d.types import Array, Corners, Float, Real, Scalar
@@ -26,6 +27,8 @@ class Mixture(Technique):
     def __init__(self, lobes: Sequence[Technique], weights: ArrayLike):
         """`lobes`: techniques with one shape of x; `weights`: their probabilities alpha, which sum to one."""
         self.lobes = tuple(lobes)
+        for lobe in self.lobes:
+            require_instance(lobe, Technique, "Mixture: a lobe")
         self.weights = parameter(weights)
         require(len(self.lobes) > 0, "Mixture: give one lobe at least")
         require(
@@ -36,7 +39,7 @@ class Mixture(Technique):
             alpha = np.asarray(self.weights)
             require(
                 bool(np.all(alpha >= 0)) and abs(alpha.sum() - 1) < 1e-6,
-                f"Mixture: the weights must be probabilities that sum to one; {alpha} sum to {alpha.sum()}",
+                f"Mixture: the weights must not be negative, and sum to one; {alpha} sum to {alpha.sum()}",
             )
         shapes = {sample_shape(lobe) for lobe in self.lobes}
         require(len(shapes) == 1, f"Mixture: the lobes' samples must have one shape, not {sorted(shapes)}")

@@ -6,18 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.numerics import (
-    between,
-    choose,
-    entry,
-    is_concrete,
-    linear_cdf,
-    linear_quantile,
-    locate,
-    require,
-    unchoose,
-    width,
-)
+from mcmc1d.checks import density_table
+from mcmc1d.numerics import between, choose, entry, linear_cdf, linear_quantile, locate, unchoose, width
 from mcmc1d.techniques.base import Inversion, within
 from mcmc1d.types import Corners, Float, Index, Real, Scalar
 
@@ -33,7 +23,7 @@ class PiecewiseConstant(Inversion):
 
     def __init__(self, edges: ArrayLike, heights: ArrayLike):
         """`edges`: n + 1 rising numbers; `heights`: n relative heights, none negative, one positive at least."""
-        self.edges, heights = _table(type(self).__name__, edges, heights, cells=True)
+        self.edges, heights = density_table(type(self).__name__, edges, heights, cells=True)
         self.cumulative = _cumulative(heights * np.diff(self.edges))
 
     @property
@@ -66,7 +56,7 @@ class Tabulated(Inversion):
     def __init__(self, masses: ArrayLike):
         """`masses`: n relative masses, none negative, one positive at least."""
         masses = np.asarray(masses, np.float64)
-        _table(type(self).__name__, np.linspace(0, 1, masses.size + 1), masses, cells=True)
+        density_table(type(self).__name__, np.linspace(0, 1, masses.size + 1), masses, cells=True)
         self.cumulative = _cumulative(masses)
 
     @staticmethod
@@ -108,7 +98,7 @@ class PiecewiseLinear(Inversion):
 
     def __init__(self, knots: ArrayLike, values: ArrayLike):
         """`knots`: n + 1 rising numbers; `values`: n + 1 relative densities, none negative."""
-        self.knots, values = _table(type(self).__name__, knots, values, cells=False)
+        self.knots, values = density_table(type(self).__name__, knots, values, cells=False)
         masses = (values[1:] + values[:-1]) / 2 * np.diff(self.knots)
         self.cumulative = _cumulative(masses)
         self.values = values / masses.sum()
@@ -142,21 +132,6 @@ class PiecewiseLinear(Inversion):
 def _cumulative(masses: np.ndarray) -> np.ndarray:
     total = np.concatenate([[0.0], np.cumsum(masses)])
     return total / total[-1]
-
-
-def _table(name: str, edges: ArrayLike, heights: ArrayLike, *, cells: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Both as float64 arrays, once they are known to describe a density."""
-    require(is_concrete(edges, heights), f"{name}: edges and heights are tables of numbers and can not be traced")
-    edges, heights = np.asarray(edges, np.float64), np.asarray(heights, np.float64)
-    wanted = edges.size - 1 if cells else edges.size
-    require(edges.ndim == 1 and edges.size >= 2, f"{name}: give at least two edges in one dimension, not {edges}")
-    require(bool(np.all(np.diff(edges) > 0)), f"{name}: the edges must rise: {edges}")
-    require(heights.shape == (wanted,), f"{name}: {edges.size} edges need {wanted} heights, not {heights.shape}")
-    require(
-        bool(np.all(np.isfinite(heights) & (heights >= 0)) and heights.any()),
-        f"{name}: the heights must be finite, none negative, one positive at least: {heights}",
-    )
-    return edges, heights
 
 
 EXAMPLES = {

@@ -15,8 +15,9 @@ class RaisedSinusoid(Inversion):
 
     `amplitude` lies in [-1, 1] and `frequency` is a whole number of periods. Measured from a minimum of the density,
     P(x) - u = 0 is Kepler's equation M = E - e sin E with eccentricity e = |amplitude|: a solver for it is right to a
-    few ulps of u everywhere, the places included where the density vanishes (e = 1) and P is flat. The quantile is
-    differentiable in u and in the parameters by the implicit function theorem.
+    few ulps of 1 everywhere, the places included where the density vanishes (e = 1) and P is flat; in float32 to the
+    error of its sine, 1.5e-7 e / frequency, which is up to 42 ulps of a small u. The quantile is differentiable in u
+    and in the parameters by the implicit function theorem.
     """
 
     amplitude: Scalar = eqx.field(converter=parameter, default=0.9)

@@ -1,0 +1,47 @@
+"""Checks of what a user gives, which say what is wrong with it: instances, tables of densities, edges of bins."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mcmc1d.numerics import is_concrete, require
+
+
+def require_instance(value: Any, kind: type, who: str, fix: str = "") -> None:
+    """Raise `ValueError` unless `value` is an instance of `kind`: a class in its place is a common slip."""
+    if isinstance(value, type):
+        raise ValueError(f"{who}: give an instance, {value.__name__}(...), not the class {value.__name__}")
+    require(isinstance(value, kind), f"{who} must be a {kind.__name__}, not a {type(value).__name__}{fix}")
+
+
+def density_table(name: str, edges: ArrayLike, values: ArrayLike, *, cells: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The edges and values of a tabulated density in float64, or `ValueError` unless they describe one.
+
+    Two edges at least, which rise; a value for each, or for each of the `cells` between them, none of them negative
+    or infinite, one positive at least.
+    """
+    require(is_concrete(edges, values), f"{name}: edges and values are tables of numbers and can not be traced")
+    edges, values = np.asarray(edges, np.float64), np.asarray(values, np.float64)
+    require(
+        edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)),
+        f"{name}: the edges must rise, two at least in one dimension: {edges}",
+    )
+    wanted = edges.size - 1 if cells else edges.size
+    require(
+        values.shape == (wanted,),
+        f"{name}: {edges.size} edges need {wanted} values, not an array of shape {values.shape}",
+    )
+    bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0)))
+    require(bad.size == 0, f"{name}: a density is finite and not negative; value {bad[:1]} is {values[bad[:1]]}")
+    require(bool(values.any()), f"{name}: the density is zero everywhere")
+    return edges, values
+
+
+def rising(edges: np.ndarray, who: str) -> np.ndarray:
+    """The edges of bins in float64, or `ValueError` unless they are two at least and rise."""
+    edges = np.asarray(edges, np.float64)
+    require(
+        edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)), f"{who}: the edges must rise: {edges}"
+    )
+    return edges

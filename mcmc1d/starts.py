@@ -1,0 +1,142 @@
+"""Where chains start: exact draws from the target, or a given state once it is known to be one; the normalisation b."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.checks import require_instance
+from mcmc1d.numerics import below_one, cast, require
+from mcmc1d.random import uniforms
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Bool, Float, Int, Key
+
+_MOST_ATTEMPTS = 10_000
+_CANDIDATES = 2**16  # for exact starts, at once: one size, so that one program serves every count
+
+# The counter of the numbers that are no step's: whatever key a user starts and runs with, none is used twice.
+_DRAWS = 2**31 - 1
+
+
+class Normalisation(NamedTuple):
+    """An estimate of b, the integral of f, and its standard error."""
+
+    value: float
+    standard_error: float
+
+
+def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normalisation:
+    """B by independent samples: the number of techniques times the mean of C_i(u) at uniform i and u.
+
+    Hachisuka et al. 2014, section 4: the factor is the number of techniques of the chain, all of them.
+    """
+    batch = min(samples, 2**18)
+    total = square = 0.0
+    batches = -(-samples // batch)
+    for k in range(batches):
+        c = np.asarray(_draw(jax.random.fold_in(key, k), target, batch, jnp.zeros(()).dtype)[1], np.float64)
+        total, square = total + c.sum(), square + (c * c).sum()
+        require(bool(np.isfinite(total)), f"normalisation: {type(target.target).__name__} is NaN or infinite somewhere")
+    n = batches * batch
+    mean = total / n
+    deviation = np.sqrt(max(square / n - mean * mean, 0) / (n - 1))
+    return Normalisation(target.n_techniques * mean, target.n_techniques * float(deviation))
+
+
+def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) -> State:
+    """`count` independent evaluated states, drawn exactly from the target by rejection: no burn-in, no inverse trusted.
+
+    The bound is the largest density among 2**16 probes, with a quarter to spare; should a candidate exceed it, it is
+    raised and everything is drawn again. A peak that all of the probes and candidates miss is missed. Raises
+    `ValueError` where the density is zero at every probe, is not finite, or is too narrow for rejection.
+    """
+    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    target = cast(target, dtype)
+    probe_key, key = jax.random.split(key)
+    probes = np.asarray(_draw(probe_key, target, _CANDIDATES, dtype)[1], np.float64)
+    bound = 1.25 * float(np.max(probes, where=np.isfinite(probes), initial=0))  # what is not finite is told below
+    require(
+        bound > 0, f"{type(target.target).__name__}: the density is zero at all of 65536 probes; nothing to start from"
+    )
+    kept: list[State] = []
+    found, attempt, since = 0, 0, 0
+    while found < count:
+        state, density, uniform = _draw(jax.random.fold_in(key, attempt), target, _CANDIDATES, dtype)
+        attempt += 1
+        density = np.asarray(density, np.float64)
+        if not np.isfinite(density).all():
+            k = int(np.argmax(~np.isfinite(density)))
+            x, i = np.asarray(state.seen.x)[k], np.asarray(state.index)[k]
+            if np.isnan(np.asarray(state.seen.log_f)[k]):
+                raise ValueError(target.target.complaint(x))
+            raise ValueError(
+                f"{type(target.target).__name__}: the density of technique {i} is not finite at u = "
+                f"{np.asarray(state.u)[k]}, x = {x}: rejection needs a bounded one; give a technique with the target's "
+                "pole, or start="
+            )
+        # Long before the last candidate it can be told that they will not do.
+        hopeless = attempt - since >= 64 and found * _MOST_ATTEMPTS < count * (attempt - since)
+        require(
+            attempt <= _MOST_ATTEMPTS and not hopeless,
+            f"exact_start: {found} of {count} states after {(attempt - since) * _CANDIDATES} candidates, because the "
+            f"density reaches {bound / 1.25:.2g} in a narrow peak or a pole; give a technique that follows it, or "
+            "start=",
+        )
+        if density.max() > bound:
+            bound, kept, found, since = 1.25 * float(density.max()), [], 0, attempt
+            continue
+        chosen = np.flatnonzero(np.asarray(uniform) * bound < density)
+        kept.append(jax.tree.map(lambda leaf, chosen=chosen: np.asarray(leaf)[chosen], state))
+        found += chosen.size
+    return jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)[:count]), *kept)
+
+
+def begin(
+    key: Key, target: Multiplexed, start: State | None, chains: int, dtype: Any, who: str
+) -> tuple[Int[Array, " chains"], Float[Array, "chains m"]]:
+    """The index and u of every chain: of the start that was given, once it is known to be one, or exact draws."""
+    if start is None:
+        start = exact_start(key, target, chains, dtype)
+    index, u, shape = np.asarray(start.index), np.asarray(start.u), (chains, target.dim_u)
+    require(u.shape == shape, f"{who}: start.u must be of shape {shape}, not {u.shape}")
+    require(index.shape == (chains,), f"{who}: start.index must be of shape {(chains,)}, not {index.shape}")
+    require(np.issubdtype(index.dtype, np.integer), f"{who}: start.index must be whole numbers, not {index.dtype}")
+    lost = (index < 0) | (index >= target.n_techniques) | ~((u >= 0) & (u < 1)).all(1)
+    k = int(np.argmax(lost))
+    require(
+        not lost.any(),
+        f"{who}: start.index must lie in 0..{target.n_techniques - 1} and start.u in [0, 1); chain {k} has {index[k]} "
+        f"and {u[k]}",
+    )
+    return jnp.asarray(index, jnp.int32), below_one(jnp.asarray(u, dtype))  # a float64 under 1 may round to it
+
+
+def require_multiplexed(target: Multiplexed, who: str) -> None:
+    """Raise `ValueError` unless the target is one that a chain can sample."""
+    fix = "; wrap it: Multiplexed(target, techniques)"
+    require_instance(target, Multiplexed, f"{who}: the target", fix)
+
+
+def require_defined(target: Multiplexed, state: State, trapped: Bool[Array, " chains"]) -> None:
+    """Raise `ValueError` where a chain is trapped at a NaN of the target, and say where that is."""
+    bad = np.flatnonzero(np.asarray(trapped))
+    if bad.size == 0:
+        return
+    x = target.forward(jnp.asarray(state.index)[bad[0]], jnp.asarray(state.u)[bad[0]])[0]
+    raise ValueError(
+        f"{target.target.complaint(np.asarray(x))}; {bad.size} of {len(trapped)} chains came upon such a place between "
+        "the probes of Multiplexed, and no law is defined by it: let f be 0 there, or define it"
+    )
+
+
+@eqx.filter_jit
+def _draw(
+    key: Key, target: Multiplexed, count: int, dtype: Any
+) -> tuple[State, Float[Array, " count"], Float[Array, " count"]]:
+    """States uniform on (i, u), their densities, and a uniform number for each."""
+    numbers = uniforms(key, _DRAWS, (target.dim_u + 2, count), dtype)
+    index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
+    state = jax.vmap(target.evaluate)(State(index, numbers[2:].T))
+    return state, jnp.exp(state.seen.log_c), numbers[1]

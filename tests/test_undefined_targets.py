@@ -1,0 +1,88 @@
+"""What a target must not be is said by name, with the place: NaN between the probes, negative, or unbounded."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mcmc1d
+from mcmc1d import moves, techniques
+from mcmc1d.targets import FromFunction
+
+NARROW = 0.300123  # no probe lies within 1e-4 of it: they are 4.9e-4 apart
+
+
+def spike(value, width):
+    return FromFunction(lambda x: jnp.where(jnp.abs(x - NARROW) < width, value, 1.0))
+
+
+def chained(target, **changes):
+    start = mcmc1d.State(np.zeros(256, np.int32), np.linspace(0.5, 0.9, 256)[:, None])
+    arguments = {"steps": 2000, "chains": 256, "start": start, **changes}
+    return mcmc1d.run(
+        jax.random.key(0), moves.LargeStep(), mcmc1d.Multiplexed(target, techniques.Uniform()), **arguments
+    )
+
+
+@pytest.mark.parametrize(("value", "message"), [(jnp.nan, "NaN at x = 0.300"), (-1.0, "negative at x = 0.300.*f = -1")])
+def test_a_narrow_spike_that_a_chain_meets_is_an_error(value, message):
+    with pytest.raises(ValueError, match=f"{message}.*chains came upon such a place.*let f be 0 there"):
+        chained(spike(value, 1e-5))
+
+
+def test_a_start_at_an_undefined_place_is_an_error():
+    u = np.float32(0.2500001)
+    target = FromFunction(lambda x: jnp.where(x == u, jnp.nan, 1.0))
+    start = mcmc1d.State(np.zeros(8, np.int32), np.full((8, 1), u))
+    with pytest.raises(ValueError, match=r"FromFunction is NaN at x = 0.250000\d*; 8 of 8 chains"):
+        chained(target, chains=8, blocks=1, steps=1, start=start)
+
+
+def test_a_trace_says_it_too():
+    target = mcmc1d.Multiplexed(spike(jnp.nan, 1e-5), techniques.Uniform())
+    start = mcmc1d.State(np.zeros(256, np.int32), np.full((256, 1), 0.5))
+    with pytest.raises(ValueError, match=r"is NaN at x = 0\.300"):
+        mcmc1d.trace(jax.random.key(0), moves.LargeStep(), target, steps=2000, chains=256, start=start)
+
+
+def test_a_proposal_outside_the_cube_is_no_fault_of_the_target():
+    class Outside(moves.Move):
+        def dim_w(self, target):
+            return 1
+
+        def propose(self, target, state, w):
+            return moves.Proposal(mcmc1d.State(state.index, state.u * jnp.nan), w, jnp.zeros((), w.dtype))
+
+    target = mcmc1d.Multiplexed(spike(1.0, 1e-5), techniques.Uniform())
+    run = mcmc1d.run(jax.random.key(0), Outside(), target, steps=3, chains=8)
+    assert np.isfinite(run.state.u).all()
+
+
+def test_exact_starts_name_the_place_too():
+    target = mcmc1d.Multiplexed(spike(-2.0, 1e-5), techniques.Uniform())
+    with pytest.raises(ValueError, match=r"negative at x = 0.300\d*: f = -2"):
+        mcmc1d.exact_start(jax.random.key(0), target, 10**6)
+
+
+def test_a_negative_function_is_told_with_its_value():
+    with pytest.raises(ValueError, match=r"FromFunction is negative at x = 0.000\d*: f = -0.499756"):
+        mcmc1d.Multiplexed(FromFunction(lambda x: x - 0.5), techniques.Uniform())
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize("function", [lambda x: 1 / x, lambda x: x**-0.9, lambda x: 1 / jnp.abs(x - 0.4999)])
+def test_an_unbounded_density_is_refused_at_once(function, wide):
+    target = mcmc1d.Multiplexed(FromFunction(function), techniques.Uniform())
+    with jax.enable_x64(wide), pytest.raises(ValueError, match=r"pole.*give a technique|give a technique.*pole"):
+        mcmc1d.exact_start(jax.random.key(0), target, 10**5)
+
+
+def test_an_integral_that_is_infinite_is_refused():
+    for function, interval in ((lambda x: 1 / x, r"\[0, 0.1\]"), (lambda x: 1 / jnp.abs(x - 0.3), r"\[0.\d, 0.\d\]")):
+        with pytest.raises(ValueError, match=f"unbounded in {interval}, and its integral there is infinite"):
+            FromFunction(function).bin_masses(np.linspace(0, 1, 11))
+
+
+def test_a_pole_at_zero_that_can_be_integrated_is():
+    masses = FromFunction(lambda x: x**-0.5).bin_masses(np.array([0, 0.25, 1]))
+    np.testing.assert_allclose(masses, [1, 1], rtol=1e-10)
