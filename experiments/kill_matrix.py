@@ -82,8 +82,11 @@ def catch(mutant: Mutant, seed: int) -> set[str]:
     """The layers that catch a mutant at one seed."""
     layers: set[str] = set()
     if mutant.layer == "contract":
-        check = check_technique if isinstance(mutant.subject, Technique) else check_move
-        layers |= set() if check(mutant.subject, seed=seed) else {"contract"}
+        subject = mutant.subject
+        check = (
+            check_technique(subject, seed=seed) if isinstance(subject, Technique) else check_move(subject, seed=seed)
+        )
+        layers |= set() if check else {"contract"}
     kernel, law = case(mutant)
     if law is None:
         return layers

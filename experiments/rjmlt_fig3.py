@@ -44,7 +44,7 @@ class Config:
     """Chains of the histograms, which go on from the replicas' last states."""
     steps: int = 1024
     burn: int = 1024
-    """Steps of a wrong integrator's chains before that: the slowest of them forgets its start in 126 (its spectral gap)."""
+    """Steps of a wrong integrator's chains before that; the slowest forgets its start in 126, by its spectral gap."""
     blocks: int = 32
     """Independent groups of chains: the standard errors are their spread."""
     trace_chains: int = 64

@@ -19,12 +19,12 @@ def adapt(kernel: Any, law: Law) -> Any:
         return numpyro(kernel)
     if isinstance(kernel, tuple) and hasattr(kernel, "init") and hasattr(kernel, "step"):
         return blackjax(kernel)
-    require(
-        callable(kernel),
+    if callable(kernel):
+        return JaxKernel(kernel)
+    raise ValueError(
         f"{kernel!r} is no kernel: give a move of this library, a function step(key, position), a verify.JaxKernel or "
-        "verify.HostKernel, a BlackJAX algorithm, a NumPyro kernel or an emcee move",
+        "verify.HostKernel, a BlackJAX algorithm, a NumPyro kernel or an emcee move"
     )
-    return JaxKernel(kernel)
 
 
 def blackjax(algorithm: Any, *, name: str = "", reversible: bool | None = None) -> JaxKernel:
@@ -66,7 +66,7 @@ def numpyro(kernel: Any, *, model_args: tuple = (), model_kwargs: dict | None = 
 
 
 def emcee(
-    move: Any, law: Law | None = None, *, walkers: int = 16, log_prob: Callable | None = None
+    move: Any, law: Law | None = None, *, walkers: int = 16, log_prob: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> "EnsembleSubject":
     """An emcee move in many small ensembles of so many walkers.
 
@@ -75,17 +75,14 @@ def emcee(
     by NumPy, unless the law has a `log_density`.
     """
     require(walkers >= 4, f"an ensemble needs 4 walkers at least, not {walkers}")
-    if log_prob is None:
-        require(
-            law is not None and law.log_density is not None,
-            "an emcee move needs the density: give the law a log_density, or call verify.emcee(move, log_prob=...)",
+    if log_prob is not None:
+        return EnsembleSubject(move, walkers, log_prob)
+    if law is None or law.log_density is None:
+        raise ValueError(
+            "an emcee move needs the density: give the law a log_density, or call verify.emcee(move, log_prob=...)"
         )
-        batch = jax.jit(jax.vmap(law.log_density))  # pyright: ignore[reportOptionalMemberAccess]
-
-        def log_prob(x: np.ndarray) -> np.ndarray:
-            return np.array(batch(x))  # a copy, because emcee writes into it
-
-    return EnsembleSubject(move, walkers, log_prob)
+    batch = jax.jit(jax.vmap(law.log_density))
+    return EnsembleSubject(move, walkers, lambda x: np.array(batch(x)))  # a copy, because emcee writes into it
 
 
 class EnsembleSubject(Subject):

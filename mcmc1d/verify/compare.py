@@ -72,13 +72,11 @@ def steepness(jacobian: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """|d log_det / d image_j| at each point, (n, d): the slope carried through the map; 0 where that is singular."""
     if jacobian.shape[-1] == 0:
         return np.zeros(slope.shape)
-    finite = np.isfinite(jacobian).all((1, 2)) & np.isfinite(slope).all(1)
+    finite = np.asarray(np.isfinite(jacobian).all((1, 2)) & np.isfinite(slope).all(1))
     safe = np.where(finite[:, None, None], jacobian, 0).astype(np.float64)
-    regular = finite & (np.abs(np.linalg.det(safe)) > 0)
-    safe = np.where(regular[:, None, None], safe, np.eye(slope.shape[1]))
-    carried = np.linalg.solve(
-        safe.transpose(0, 2, 1), np.where(regular[:, None], slope, 0)[..., None].astype(np.float64)
-    )
+    regular = np.asarray(finite & (np.linalg.det(safe) != 0))[:, None]
+    safe = np.where(regular[..., None], safe, np.eye(slope.shape[1]))
+    carried = np.linalg.solve(safe.transpose(0, 2, 1), np.where(regular, slope, 0)[..., None].astype(np.float64))
     return np.abs(carried[..., 0])
 
 

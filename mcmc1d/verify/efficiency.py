@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 
 from mcmc1d.numerics import require
@@ -68,9 +67,9 @@ def efficiency(
     more: list[int] = []
     less: list[int] = []
     moved = {}
-    walks = [_walk(run, start, steps) for run in runs]
-    for t, looks in zip(steps, zip(*walks, strict=True), strict=True):
-        after = [_ranks(sorts, coordinates(look)) for look in looks]
+    walks = [run.subject.walk(run.words("steps", 1), start, steps) for run in runs]
+    for t, *looks in zip(steps, *walks, strict=True):
+        after = [_ranks(sorts, coordinates(look.positions)) for look in looks]
         for name in before:
             for q in _FAR:
                 mine, other = (np.abs(ranks[name] - before[name]) > q for ranks in after)
@@ -88,14 +87,3 @@ def _ranks(sorts: dict[str, np.ndarray], columns: dict[str, np.ndarray]) -> dict
         / (2 * len(sorts[name]))
         for name, values in columns.items()
     }
-
-
-def _walk(run: Any, start: Any, steps: Sequence[int]) -> Any:
-    """The positions of all replicas after each of the steps."""
-    n, unit = len(jax.tree.leaves(start)[0]), run.subject.unit
-    parts = [
-        run.subject.watch(run.words("steps", 1), a, jax.tree.map(lambda s, a=a: s[a : a + unit], start), steps)
-        for a in range(0, n, unit)
-    ]
-    for looks in zip(*parts, strict=True):
-        yield jax.tree.map(lambda *p: np.concatenate(p), *(look.positions for look in looks))

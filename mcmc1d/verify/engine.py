@@ -14,7 +14,8 @@ import numpy as np
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates, design
 from mcmc1d.verify.diagnose import diagnose
-from mcmc1d.verify.kernels import LibrarySubject, Look, Picked, Subject, as_subject
+from mcmc1d.verify.forgetting import REPLICAS, forgets, point
+from mcmc1d.verify.kernels import LibrarySubject, Look, Subject, as_subject
 from mcmc1d.verify.law import Law, Position, as_law
 from mcmc1d.verify.ledger import Ledger, Scheme
 from mcmc1d.verify.report import Report, Result, Verdict
@@ -25,10 +26,6 @@ SETTLE = 0.05
 """The gap up to which a slow kernel may still PASS, where none was asked for."""
 _LOOKS = 16  # the early look is at this fraction of the first stage
 _CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
-_FORGET_REPLICAS = 8192
-_FORGET_WITHIN = 0.06  # three times the DKW deviation of 8192 draws at probability 1e-3, which is 0.02
-_FORGET_STEPS = 2**14
-_PERIODIC_AFTER = 2**12  # a second eigenvalue of -0.9993 is forgotten by then
 _PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis")
 
 
@@ -116,7 +113,7 @@ def prepared(kernel: Any, target: Any, *, seed: int, name: str) -> "Run":
     law = as_law(target)
     subject = as_subject(kernel, target, law, reversible=None, deposits=None, max_weight=1.0)
     run = Run(law, subject, Scheme(), _entropy(seed, name), (1,), 0.99, 1.0, None)
-    subject.check(jax.tree.map(lambda a: a[: subject.unit], run.draw("design", 0, 0, _FORGET_REPLICAS)))
+    subject.check(jax.tree.map(lambda a: a[: subject.unit], run.draw("design", 0, 0, REPLICAS)))
     return run
 
 
@@ -172,7 +169,7 @@ class Run:
 
     def prepare(self) -> None:
         """Look at the law and the kernel with a few draws, and choose the tests."""
-        draws = self.draw("design", 0, 0, 2 * _FORGET_REPLICAS)
+        draws = self.draw("design", 0, 0, 2 * REPLICAS)
         few = jax.tree.map(lambda a: a[: self.subject.unit], draws)
         self.subject.check(few)
         look = next(iter(self.subject.watch(self.words("pilot"), 0, few, (1,))))
@@ -290,23 +287,10 @@ class Run:
         for k, test in enumerate(self.tests):
             if (0, k) in self.keys[: len(self.tests)]:
                 tally.counts[0, k] = test.count(Replicas(start, Look(start), fresh, uniform))
-        unit = self.subject.unit
-        slices = [slice(a, min(a + unit, n)) for a in range(0, n, unit)]
-        parts = [
-            list(
-                self.subject.watch(
-                    self.words("steps", stage, chunk),
-                    part.start,
-                    jax.tree.map(lambda a, part=part: a[part], start),
-                    self.steps,
-                )
-            )
-            for part in slices
-        ]
         before = coordinates(start)
         changed = {name: np.zeros(n, bool) for name in before}
-        for t, looks in zip(self.steps, zip(*parts, strict=True), strict=True):
-            look = _join(looks)
+        walk = self.subject.walk(self.words("steps", stage, chunk), start, self.steps)
+        for t, look in zip(self.steps, walk, strict=True):
             tally.wrong += self.inspect(start, look, t)
             if tally.wrong:
                 return tally
@@ -328,14 +312,14 @@ class Run:
                 k = int(np.argmax(bad))
                 return [
                     f"it returns {values[k]} for {name} in {bad.sum()} of {len(bad)} replicas within "
-                    f"{t} steps, for one from {_point(before, k)}; guard the arithmetic at such points"
+                    f"{t} steps, for one from {point(before, k)}; guard the arithmetic at such points"
                 ]
         outside = ~inside(self.law, look.positions)
         if outside.any():
             k = int(np.argmax(outside))
             return [
                 f"{outside.sum()} of {len(outside)} replicas leave the support within {t} steps, one from "
-                f"{_point(before, k)} to {_point(after, k)}; reject such proposals"
+                f"{point(before, k)} to {point(after, k)}; reject such proposals"
             ]
         picked = look.picked
         if picked is not None:
@@ -417,64 +401,18 @@ class Run:
         )
 
     def forget(self) -> None:
-        """After how many steps the law of many chains from one bad point is near the right one, if it ever is."""
-        n = min(_FORGET_REPLICAS, max(self.subject.unit, self.n))
+        """Whether chains from one bad point come near the law, and after how many steps."""
+        n = min(REPLICAS, max(self.subject.unit, self.n))
         bad = jax.tree.map(lambda a: a[0], self.unlikely)
         if self.law.bad_start is not None:
             bad = jax.tree.map(lambda a, like: np.asarray(a, like.dtype), self.law.bad_start, bad)
         start = self.subject.crowd(bad, self.unlikely, n)
-        within = max(_FORGET_WITHIN, 3 * float(np.sqrt(np.log(2e3) / (2 * n))))
+        tests = [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
         fresh = self.draw("forget", 0, 0, n)
-        unit, begin = self.subject.unit, time.perf_counter()
-        powers = [4**j for j in range(3, 8) if 4**j <= _FORGET_STEPS]
-        times = [t for power in powers for t in (power, power + 1)]
-        walks = [
-            self.subject.watch(self.words("walk"), a, jax.tree.map(lambda s, a=a: s[a : a + unit], start), times)
-            for a in range(0, n, unit)
-        ]
-        history, previous = [], None
-        for t, looks in zip(times, zip(*walks, strict=True), strict=True):
-            look = _join(looks)
-            problem = self.inspect(start, look, t)
-            if problem:
-                self.reasons += problem
-                return
-            counts = [(test, test.count(Replicas(start, look, fresh, np.zeros(n)))) for test in self._plain_tests()]
-            distance = max((_distance(test, count, n) for test, count in counts), default=0.0)
-            if t in powers:
-                history.append(f"{distance:.2f} after {t}")
-                if distance <= within:
-                    self.forgotten = t
-                    return
-                previous = counts
-            elif previous is not None:
-                both = [
-                    (test, tuple(a + b for a, b in zip(c, d, strict=True)))
-                    for (test, c), (_, d) in zip(previous, counts, strict=True)
-                ]
-                mixed = max((_distance(test, count, 2 * n) for test, count in both), default=0.0)
-                if distance > within >= mixed and t > _PERIODIC_AFTER:
-                    self.reasons.append(
-                        f"it is periodic: from {_point(coordinates(start), 0)} the laws after {t - 1} and {t} steps "
-                        f"are {distance:.2f} from the right one, and their mean is not"
-                    )
-                    return
-                if time.perf_counter() - begin > 10 and t * 4 * (time.perf_counter() - begin) / t > 60:
-                    break
-        last = coordinates(look.positions)
-        if all(len(np.unique(values)) == 1 for values in last.values()):
-            self.reasons.append(
-                f"it is deterministic: all {n} replicas from {_point(coordinates(start), 0)} are at {_point(last, 0)} "
-                f"after {t} steps"
-            )
-            return
-        self.inconclusive.append(
-            f"it has not forgotten a bad start: from {_point(coordinates(start), 0)} its distance in CDF from the law "
-            f"is {', '.join(history)} steps; it is slow, or can not get everywhere (ergodic=False to leave this out)"
-        )
-
-    def _plain_tests(self) -> list[Test]:
-        return [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
+        found = forgets(self.subject, tests, start, fresh, self.words("walk"), self.inspect)
+        self.forgotten = found.steps
+        self.reasons += found.reasons
+        self.inconclusive += found.doubts
 
     # --- what is said ---
 
@@ -551,31 +489,6 @@ def inside(law: Law, where: Position) -> np.ndarray:
 def _headline(test: Test) -> bool:
     """Whether it is a coordinate's own law, and not that of a chain's primary sample."""
     return test.layer == "marginal" and test.name != "u" and not test.name.startswith("u[")
-
-
-def _distance(test: Test, counts: tuple[np.ndarray, ...], n: int) -> float:
-    """How far the counted law is from the right one: the CDF gap, or the largest difference of a cell."""
-    if isinstance(test, OneSample):
-        if test.gap(n, 0.5, 0.5) is not None:
-            return test.measured_gap(counts)
-        return float(np.abs(counts[0][:-1] / n - test.masses).max())
-    more, less = counts
-    return float(np.abs(more - less).max() / n)
-
-
-def _join(looks: Sequence[Look]) -> Look:
-    """The looks at several slices as one."""
-    joined = jax.tree.map(lambda *parts: np.concatenate(parts), *(look.positions for look in looks))
-    picked = [look.picked for look in looks if look.picked is not None]
-    if not picked:
-        return Look(joined)
-    points = jax.tree.map(lambda *parts: np.concatenate(parts), *(p.points for p in picked))
-    none = np.concatenate([p.none for p in picked])
-    return Look(joined, Picked(points, none, min(p.least for p in picked), max(p.most for p in picked)))
-
-
-def _point(columns: dict[str, np.ndarray], k: int) -> str:
-    return "(" + ", ".join(f"{name} = {values[k]:.6g}" for name, values in columns.items()) + ")"
 
 
 def _entropy(seed: int, name: str) -> tuple[int, ...]:

@@ -43,6 +43,17 @@ class Look:
     picked: Picked | None = None
 
 
+def joined(looks: Sequence[Look]) -> Look:
+    """The looks at several slices of replicas as one."""
+    positions = jax.tree.map(lambda *parts: np.concatenate(parts), *(look.positions for look in looks))
+    picked = [look.picked for look in looks if look.picked is not None]
+    if not picked:
+        return Look(positions)
+    points = jax.tree.map(lambda *parts: np.concatenate(parts), *(p.points for p in picked))
+    none = np.concatenate([p.none for p in picked])
+    return Look(positions, Picked(points, none, min(p.least for p in picked), max(p.most for p in picked)))
+
+
 class Subject(abc.ABC):
     """A kernel under test."""
 
@@ -66,6 +77,15 @@ class Subject(abc.ABC):
 
         What comes out is a function of the arguments alone.
         """
+
+    def walk(self, seed: Sequence[int], start: Position, times: Sequence[int]) -> Iterator[Look]:
+        """All replicas after each of the times, watched `unit` at a time."""
+        n = len(jax.tree.leaves(start)[0])
+        parts = [
+            self.watch(seed, a, jax.tree.map(lambda s, a=a: s[a : a + self.unit], start), times)
+            for a in range(0, n, self.unit)
+        ]
+        return (joined(looks) for looks in zip(*parts, strict=True))
 
     def prepare(self, start: Position) -> Position:
         """Exact draws in the precision in which the kernel runs."""
@@ -402,7 +422,7 @@ def _shapes(tree: Any) -> str:
         jax.tree.map(
             lambda a: (
                 f"{np.dtype(a.dtype).name}{list(a.shape)}"
-                if hasattr(a, "dtype") and not jax.dtypes.issubdtype(a.dtype, jax.dtypes.extended)
+                if hasattr(a, "dtype") and not jnp.issubdtype(a.dtype, jax.dtypes.extended)
                 else str(type(a).__name__)
             ),
             tree,

@@ -106,13 +106,14 @@ def as_law(target: Any) -> Law:
         )
         return _scipy_law(target)
     names = ("cdf", "bins", "statistics", "log_density", "support", "bad_start", "name")
-    given = {name: getattr(target, name) for name in names if getattr(target, name, None) is not None}
+    given: dict[str, Any] = {"name": type(target).__name__}
+    given |= {name: getattr(target, name) for name in names if getattr(target, name, None) is not None}
     require(
         callable(getattr(target, "sample", None)) and not isinstance(target, type),
         "a target to verify against must be a verify.Law (sample=, cdf=), a Multiplexed, a frozen scipy distribution "
         f"or an object with `sample` and `cdf`, not {target!r}",
     )
-    return Law(sample=target.sample, **({"name": type(target).__name__} | given))
+    return Law(sample=target.sample, **given)
 
 
 def _scipy_law(distribution: Any) -> Law:

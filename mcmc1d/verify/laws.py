@@ -105,7 +105,12 @@ def correlated(correlation: float) -> Law:
     """In the plane: a normal law of unit variances; its marginals say nothing of the correlation."""
     law = _normal_mixture("correlated", [1.0], [[0.0, 0.0]], [[[1.0, correlation], [correlation, 1.0]]])
     root = float(np.sqrt(1 - correlation**2))
-    rest = Continuous(lambda x: (np.float64(x[:, 1]) - correlation * np.float64(x[:, 0])) / root, ndtr)
+
+    def value(x: Position) -> np.ndarray:
+        x = np.asarray(x, np.float64)
+        return (x[:, 1] - correlation * x[:, 0]) / root
+
+    rest = Continuous(value, ndtr)
     return replace(law, statistics={"x[1] given x[0]": rest})
 
 
@@ -135,7 +140,7 @@ def switch() -> Law:
         statistics={
             "x": Continuous(
                 lambda p: p["x"],
-                lambda x: sum(m * ndtr((x - c) / s) for m, c, s in zip(masses, centres, scales, strict=True)),
+                lambda x: ndtr((x[..., None] - centres) / scales) @ masses,
             ),
             "index, x": Discrete(
                 joint,

@@ -56,7 +56,7 @@ def test_the_manifest_says_how_to_get_them_again(tiny):
     assert record["seed"] == 3
     assert record["config"]["replicas"] == 2048
     assert {"jax", "mcmc1d", "python"} <= set(record["versions"])
-    assert len(record["claims"]) == 6
+    assert len(record["claims"]) == 8
 
 
 def test_claims_are_read_from_the_results(tiny):
@@ -77,7 +77,7 @@ def test_list_names_experiments_and_fields():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "nonsense"], "no experiment 'nonsense'; known: rjmlt_fig3"),
+        (["run", "nonsense"], "no experiment 'nonsense'; known: calibration"),
         (["run", "rjmlt_fig3", "--set", "sgima=1"], "no field 'sgima'; known: amplitude, sigma"),
         (["run", "rjmlt_fig3", "--set", "bins=many"], "'many' is not int"),
         (["run", "rjmlt_fig3", "--set", "sigma=-1"], "sigma must be positive"),

@@ -165,7 +165,7 @@ MUTANTS = {
         stretch(4, mistake="old partners"),
         "the second half is moved against the first half as it was before",
         "planted; a stale cache as in mlcg #70",
-        layer="marginal",
+        layer="density",
         law=_FOUR,
         right=stretch(4),
     ),

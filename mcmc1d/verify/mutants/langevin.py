@@ -178,7 +178,7 @@ MUTANTS = {
         guided_walk(_MODES, 0.8, flips=False),
         "the direction does not turn round on rejection",
         "planted: Gustafson 1998, section 2, with the flip left out",
-        layer="motion",
+        layer="marginal",
         law=_MODES,
         right=guided_walk(_MODES, 0.8),
     ),

@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import ndtr
 
 from mcmc1d.types import Array, Key
 from mcmc1d.verify.kernels import JaxKernel
@@ -134,8 +135,7 @@ _MODES, _WALLS, _CORRELATED = two_modes(), walls(), correlated(0.8)
 
 def _first(law: Law) -> Law:
     """The first of two standard normal coordinates."""
-    cdf: Any = law.cdf
-    return Law(lambda rng, n: law.sample(rng, n)[:, 0], cdf=cdf, name="first of two")
+    return Law(lambda rng, n: law.sample(rng, n)[:, 0], cdf=ndtr, name="first of two")
 
 
 _FIRST = _first(_CORRELATED)
