@@ -21,7 +21,7 @@ from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Technique
 from mcmc1d.verify.goodness import cdf_gap, p_value, smallest_gap, total_variation
 from mcmc1d.verify.mutants.jumps import no_jacobian
 from mcmc1d.verify.mutants.mixtures import FixedPointInverse
-from mcmc1d.verify.operator import operator
+from mcmc1d.verify.operator import transition_operator
 
 SOURCE = "Bitterli et al. 2017"
 
@@ -166,7 +166,7 @@ def _measure(
     # What a wrong integrator's law must be, from its transition operator; a right one's is the exact law.
     predicted, noise = np.full(exact.shape, np.nan), np.nan
     if not RIGHT[name]:
-        law = operator(move, target, points=min(config.operator_points, 8 * config.replicas)).law_of(edges)
+        law = transition_operator(move, target, points=min(config.operator_points, 8 * config.replicas)).law_of(edges)
         predicted = law.masses
         noise = _noise(long.sums["joint"] * config.blocks / (config.chains * config.steps))
     return xr.Dataset(

@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     verify.add_argument("--gap", type=_number(float, 0, 1), metavar="G", help="detect this gap in a coordinate's CDF")
     verify.add_argument("--power", type=float, metavar="P", help="with this probability; default: 0.99")
     verify.add_argument(
-        "--seconds", type=_number(float, 0), metavar="S", help="what a first stage may take; default: 30"
+        "--seconds", type=_number(float, 0), metavar="S", help="what a first stage may take; default: 40"
     )
     verify.add_argument(
         "--replicas", type=_number(int, 1), metavar="N", help="of the first stage, in place of --gap and --seconds"

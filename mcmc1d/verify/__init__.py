@@ -1,13 +1,16 @@
 """Verification: contracts of techniques and moves, and a verdict with an error rate on any kernel."""
 
+from mcmc1d.verify import laws, mutants
 from mcmc1d.verify.adapters import blackjax, emcee, numpyro
 from mcmc1d.verify.contract import Check, ContractError, ContractReport
 from mcmc1d.verify.efficiency import Efficiency, efficiency
 from mcmc1d.verify.engine import LawError, verify
+from mcmc1d.verify.finite import Enumeration, RingStep, enumerate_kernel, ring
 from mcmc1d.verify.kernels import HostKernel, JaxKernel
 from mcmc1d.verify.law import Continuous, Discrete, Law
 from mcmc1d.verify.ledger import Ledger, Scheme
 from mcmc1d.verify.move import check_move, hard_target
+from mcmc1d.verify.operator import Operator, step_operator, transition_operator
 from mcmc1d.verify.report import Report, Result, Verdict, VerificationError
 from mcmc1d.verify.technique import check_technique
 
@@ -18,13 +21,16 @@ __all__ = [
     "ContractReport",
     "Discrete",
     "Efficiency",
+    "Enumeration",
     "HostKernel",
     "JaxKernel",
     "Law",
     "LawError",
     "Ledger",
+    "Operator",
     "Report",
     "Result",
+    "RingStep",
     "Scheme",
     "Verdict",
     "VerificationError",
@@ -33,7 +39,13 @@ __all__ = [
     "check_technique",
     "efficiency",
     "emcee",
+    "enumerate_kernel",
     "hard_target",
+    "laws",
+    "mutants",
     "numpyro",
+    "ring",
+    "step_operator",
+    "transition_operator",
     "verify",
 ]

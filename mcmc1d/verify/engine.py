@@ -428,6 +428,7 @@ class Run:
                 )
         verdict = Verdict.FAIL if self.reasons else Verdict.INCONCLUSIVE if self.inconclusive else Verdict.PASS
         values = self.p_values(self.deciding)
+        threshold = self.scheme.beta(max(self.stages, 1)) / len(self.keys)
         results = []
         for (t, k), p in values.items():
             test, counts = self.tests[k], self.deciding.counts[t, k]
@@ -439,7 +440,7 @@ class Run:
                     steps=t,
                     p_value=p,
                     gap=test.gap(self.n, self.threshold, 1 - self.power),
-                    where=test.worst(counts, 5) if p <= self.threshold else [],
+                    where=test.worst(counts, 5) if p <= threshold else [],
                     curve=None if curve is None else [float(c) for c in curve],
                     residuals=[float(r) for r in test.residuals(counts)] if isinstance(test, OneSample) else None,
                 )
@@ -455,7 +456,7 @@ class Run:
             verdict=verdict,
             reasons=self.reasons or self.inconclusive,
             level=self.scheme.level,
-            threshold=self.threshold,
+            threshold=threshold,
             p_value=self.p_value,
             stages=self.stages,
             replicas=self.replicas,

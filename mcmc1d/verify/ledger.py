@@ -40,9 +40,13 @@ class Scheme:
         """The probability with which a right kernel goes on to another stage."""
         return self.first ** (1 / self.stages)
 
+    def beta(self, stage: int) -> float:
+        """What a failure at a stage (from 1 on) needs."""
+        return self.first / self.gamma ** (stage - 1)
+
     def decide(self, stage: int, p: float) -> Literal["fail", "pass", "more"]:
-        """What the combined p-value of a stage (from 1 on) says."""
-        beta = self.first / self.gamma ** (stage - 1)
+        """What the combined p-value of a stage says."""
+        beta = self.beta(stage)
         if p <= beta:
             return "fail"
         return "pass" if p > self.gamma + beta or stage == self.stages else "more"

@@ -193,7 +193,7 @@ class Operator:
         return sp.coo_matrix((weight, (cell, index * bins + place)), shape=(n, self.flux.cells.n_index * bins)).tocsr()
 
 
-def operator(
+def transition_operator(
     kernel: Kernel | Move,
     target: Multiplexed,
     *,
@@ -216,9 +216,9 @@ def operator(
     kernel = Metropolis(kernel) if isinstance(kernel, Move) else kernel
     kernel.check(target)
     m = target.dim_u
-    require(1 <= m <= 3, f"operator: u has {m} coordinates; cells are made of three at most")
+    require(1 <= m <= 3, f"transition_operator: u has {m} coordinates; cells are made of three at most")
     u = (DEFAULT_U[m] if u_cells is None else u_cells,) * m if not isinstance(u_cells, tuple) else u_cells
-    require(len(u) == m, f"operator: u has {m} coordinates, u_cells names {len(u)}")
+    require(len(u) == m, f"transition_operator: u has {m} coordinates, u_cells names {len(u)}")
     scalar = np.ndim(target.target.domain[0]) == 0
     counts = ((DEFAULT_X[m] if x_cells is None else x_cells,) if scalar else ()) + u
     flux = KernelFlux(kernel, target)
@@ -254,4 +254,4 @@ def step_operator(
     return Operator(measure(flux, 1, counts, points=points, scrambles=scrambles, seed=seed))
 
 
-__all__ = ["Balance", "Law", "Operator", "operator", "step_operator"]
+__all__ = ["Balance", "Law", "Operator", "step_operator", "transition_operator"]

@@ -56,7 +56,7 @@ class Report:
     level: float
     """The probability that a right kernel fails."""
     threshold: float
-    """The p-value at or under which one test fails at the first stage."""
+    """The p-value at or under which one test fails at the deciding stage."""
     p_value: float
     """The first stage's: the smallest of all its tests', times their number."""
     stages: int

@@ -16,7 +16,7 @@ from mcmc1d.techniques import Mixture as MixtureTechnique
 from mcmc1d.techniques import PiecewiseConstant, Ramp, Tent, Uniform
 from mcmc1d.verify.goodness import total_variation
 from mcmc1d.verify.mutants.jumps import Frozen, no_jacobian
-from mcmc1d.verify.operator import operator, step_operator
+from mcmc1d.verify.operator import step_operator, transition_operator
 
 EDGES = np.linspace(0, 1, 21)
 POINTS = 2**17
@@ -30,12 +30,12 @@ def kernel(jump):
 
 @pytest.fixture(scope="module")
 def right():
-    return operator(kernel(ReversibleJump()), TWO, points=POINTS)
+    return transition_operator(kernel(ReversibleJump()), TWO, points=POINTS)
 
 
 @pytest.fixture(scope="module")
 def wrong():
-    return operator(kernel(no_jacobian(ReversibleJump())), TWO, points=POINTS)
+    return transition_operator(kernel(no_jacobian(ReversibleJump())), TWO, points=POINTS)
 
 
 def test_a_right_kernel_keeps_the_exact_law(right):
@@ -77,7 +77,7 @@ def one_dimension():
 
 @pytest.fixture(scope="module")
 def plain(one_dimension):
-    return operator(SmallStep(SIGMA), one_dimension, points=2**15)
+    return transition_operator(SmallStep(SIGMA), one_dimension, points=2**15)
 
 
 def test_autocorrelation_time_and_gap_are_those_of_a_long_simulation(plain, one_dimension):
@@ -97,7 +97,7 @@ def test_autocorrelation_time_and_gap_are_those_of_a_long_simulation(plain, one_
 
 
 def test_a_smaller_step_would_have_failed_that_test(plain, one_dimension):
-    other = operator(SmallStep(0.05), one_dimension, points=2**15)
+    other = transition_operator(SmallStep(0.05), one_dimension, points=2**15)
     ratio = other.integrated_autocorrelation_time(lambda x: x) / plain.integrated_autocorrelation_time(lambda x: x)
     assert ratio > 1.25
     assert other.spectral_gap() < 0.85 * plain.spectral_gap()
@@ -117,14 +117,14 @@ def test_the_law_of_a_function_of_x(plain, one_dimension):
 
 def test_a_cycle_is_right_and_not_reversible(one_dimension):
     cycle = Cycle([Metropolis(SmallStep(0.1)), Metropolis(SmallStep(0.4))])
-    law = operator(cycle, one_dimension, points=2**16).law_of(EDGES)
+    law = transition_operator(cycle, one_dimension, points=2**16).law_of(EDGES)
     exact = one_dimension.target.bin_masses(EDGES)
     assert total_variation(law.masses[0], exact / exact.sum()) < 5 * law.noise + 2e-3
 
 
 def test_a_kernel_that_never_moves_has_no_law_of_its_own(one_dimension):
     with pytest.raises(ValueError, match=r"reducible|not unique"):
-        operator(Frozen(SmallStep()), one_dimension, points=1024, x_cells=20, u_cells=20).stationary()
+        transition_operator(Frozen(SmallStep()), one_dimension, points=1024, x_cells=20, u_cells=20).stationary()
 
 
 def test_four_dimensions_are_too_many():
@@ -132,7 +132,7 @@ def test_four_dimensions_are_too_many():
     for _ in range(3):
         nested = MixtureTechnique((nested, Ramp()), [0.5, 0.5])
     with pytest.raises(ValueError, match="three at most"):
-        operator(SmallStep(), mcmc1d.Multiplexed(Sinusoid(), nested))
+        transition_operator(SmallStep(), mcmc1d.Multiplexed(Sinusoid(), nested))
 
 
 def log_density(x):
