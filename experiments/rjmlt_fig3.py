@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import emcee
 import jax
@@ -211,6 +212,7 @@ def draw(data: xr.Dataset) -> Figure:
     )
     x, width = data.bin.to_numpy(), 1 / data.sizes["bin"]
     exact = data.exact.to_numpy()
+    operator: dict[str, Any] = {"color": "C3", "linewidth": 0.8, "linestyle": (0, (3, 1))}
     for k, (name, column) in enumerate(zip(data.integrator.to_numpy(), axes.T, strict=True)):
         here = data.isel(integrator=k)
         joint, right = here.joint.to_numpy(), bool(here.right)
@@ -218,11 +220,13 @@ def draw(data: xr.Dataset) -> Figure:
         column[0].set_title(title, color="black" if right else "C1", fontsize=6)
         column[0].bar(x, joint.sum(0) / width, width, color="C0" if right else "C1", alpha=0.5, linewidth=0)
         column[0].plot(x, exact.sum(0) / width, color="black", linewidth=0.8)
-        if not right:
-            column[0].plot(x, here.predicted.sum("technique") / width, color="C3", linewidth=0.8, linestyle=(0, (3, 1)))
         for t, technique in enumerate(TECHNIQUES):
             column[1].plot(x, joint[t] / joint.sum(0), color=f"C{(0, 4, 2)[t]}", label=technique, linewidth=1.0)
             column[1].plot(x, exact[t] / exact.sum(0), color="black", linewidth=0.6, linestyle=(0, (2, 1.5)))
+        if not right:
+            law = here.predicted.to_numpy()
+            column[0].plot(x, law.sum(0) / width, **operator)
+            column[1].plot(x, (law / law.sum(0)).T, **operator)
         column[2].axhspan(-3, 3, color="0.9", linewidth=0)
         z = (joint.sum(0) - exact.sum(0)) / here.error_x.to_numpy()
         column[2].plot(x, z, ".", markersize=2, color="C0" if right else "C1")
@@ -238,7 +242,7 @@ def draw(data: xr.Dataset) -> Figure:
     figure.align_ylabels()
     handles, labels = axes[1, 0].get_legend_handles_labels()
     handles.append(Line2D([], [], color="black", linewidth=0.8, linestyle=(0, (2, 1.5))))
-    handles.append(Line2D([], [], color="C3", linewidth=0.8, linestyle=(0, (3, 1))))
+    handles.append(Line2D([], [], **operator))
     figure.legend(handles, [*labels, "exact", "operator"], loc="outside lower center", ncols=5)
     return figure
 

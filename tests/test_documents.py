@@ -9,7 +9,7 @@ import pytest
 
 import experiments
 from experiments.support import framework
-from mcmc1d.verify import check_move, check_technique
+from mcmc1d.verify import check_move, check_technique, verify
 
 ROOT = Path(__file__).parents[1]
 
@@ -49,6 +49,15 @@ def test_technique_skeleton_is_one_file(tmp_path):
 def test_move_skeleton_is_one_file(tmp_path):
     for name, move in module(tmp_path, "reverse", blocks("CONTRIBUTING.md")[1]).EXAMPLES.items():
         assert check_move(move, points=2000), name
+
+
+def test_mutant_skeleton_is_one_file(tmp_path):
+    found = module(tmp_path, "at_walls", blocks("CONTRIBUTING.md")[3])
+    for mutant in found.MUTANTS.values():
+        report = verify(mutant.subject, mutant.law)
+        assert mutant.layer in {failure.layer for failure in report.failures}
+    for trap in found.TRAPS.values():
+        assert verify(trap.subject, trap.law, replicas=2**14).passed
 
 
 def test_experiment_skeleton_is_one_file(tmp_path, monkeypatch):

@@ -1,18 +1,51 @@
-"""Other libraries' kernels in the form that is verified: BlackJAX, NumPyro, emcee; none of them need be installed."""
+"""Whatever kernel a user has, under test: this library's, BlackJAX's, NumPyro's, emcee's; none need be installed."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
 import numpy as np
 
+from mcmc1d.metropolis import Kernel, Metropolis
+from mcmc1d.moves import Move
 from mcmc1d.numerics import require
-from mcmc1d.verify.kernels import JaxKernel, Look, Subject
+from mcmc1d.state import Multiplexed
+from mcmc1d.verify.kernels import HostKernel, HostSubject, JaxKernel, JaxSubject
 from mcmc1d.verify.law import Law, Position
+from mcmc1d.verify.library import LibrarySubject
+from mcmc1d.verify.subject import Look, Subject
 
 
-def adapt(kernel: Any, law: Law) -> Any:
-    """The `JaxKernel`, `HostKernel` or `Subject` for a kernel of another library, or for a plain JAX function."""
+def as_subject(
+    kernel: Any, target: Any, law: Law, *, reversible: bool | None, deposits: Callable | None, max_weight: float
+) -> Subject:
+    """The subject for whatever kernel a user has; raises `ValueError` for what is none."""
+    require(
+        not isinstance(kernel, type), f"give an instance, not the class: {getattr(kernel, '__name__', kernel)}(...)"
+    )
+    if isinstance(kernel, Kernel | Move):
+        require(
+            isinstance(target, Multiplexed),
+            f"a move of this library is verified on a mcmc1d.Multiplexed target, not on {type(target).__name__}",
+        )
+        return LibrarySubject(Metropolis(kernel) if isinstance(kernel, Move) else kernel, target, reversible)
+    subject = _foreign(kernel, law)
+    if isinstance(subject, JaxKernel):
+        subject = replace(subject, deposits=subject.deposits if deposits is None else deposits)
+        subject = JaxSubject(subject, max_weight)
+    elif isinstance(subject, HostKernel):
+        require(deposits is None, "deposits are tested of JAX kernels only; a HostKernel has none")
+        subject = HostSubject(subject)
+    if reversible is not None:
+        subject.reversible = reversible
+    return subject
+
+
+def _foreign(kernel: Any, law: Law) -> JaxKernel | HostKernel | Subject:
+    """What a kernel of another library is, or a plain JAX function."""
+    if isinstance(kernel, JaxKernel | HostKernel | Subject):
+        return kernel
     if _has_base(kernel, "emcee.moves.move", "Move"):
         return emcee(kernel, law)
     if _has_base(kernel, "numpyro.infer.mcmc", "MCMCKernel"):
@@ -148,4 +181,4 @@ def _has_base(kernel: Any, module: str, name: str) -> bool:
     return any(base.__module__ == module and base.__name__ == name for base in type(kernel).__mro__)
 
 
-__all__ = ["EnsembleSubject", "adapt", "blackjax", "emcee", "numpyro"]
+__all__ = ["EnsembleSubject", "as_subject", "blackjax", "emcee", "numpyro"]

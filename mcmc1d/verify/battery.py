@@ -5,9 +5,6 @@ size: the DKW bound, exact binomials under a union bound, exact signs of pairs.
 """
 
 import abc
-import itertools
-import threading
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,17 +12,21 @@ import jax
 import numpy as np
 
 from mcmc1d.numerics import require
-from mcmc1d.verify.goodness import cdf_gap, dkw_p_value, sign_p_value, smallest_gap, smallest_two_sample_gap
-from mcmc1d.verify.kernels import Look
-from mcmc1d.verify.law import Continuous, Discrete, Law, Position
+from mcmc1d.verify.goodness import (
+    cdf_gap,
+    cells_p_value,
+    dkw_p_value,
+    sign_p_value,
+    smallest_gap,
+    smallest_two_sample_gap,
+)
+from mcmc1d.verify.law import Continuous, Discrete, Position
+from mcmc1d.verify.subject import Look
 
 # The CDF of a continuous statistic is looked up at so many equal steps of probability: what lies between them and is
 # missed is a gap of 6e-5 at most, which is added to the smallest detectable one.
 FINE = 2**14
-_POOLED = 64  # cells of a one-sample binomial test: narrow enough for a bump, few enough for the union bound
-_CUTS = 64
-_JOINT = {1: 32, 2: 10, 3: 5}  # cells a coordinate in a joint test, by the number of coordinates
-_PAIRS = 12  # cells of a statistic whose first and last values are compared: 66 pairs
+POOLED = 64  # cells of a one-sample binomial test: narrow enough for a bump, few enough for the union bound
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class OneSample(Test):
             return 0.0
         if not self._ordered:
             return p_value_of_cells(inside, self.masses)
-        pooled = [pool(part, _POOLED, self.deposits) for part in (inside, self.masses)]
+        pooled = [pool(part, POOLED, self.deposits) for part in (inside, self.masses)]
         return min(1.0, 2 * min(dkw_p_value(inside, self.masses), p_value_of_cells(*pooled)))
 
     @property
@@ -126,7 +127,7 @@ class OneSample(Test):
 
     def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
         inside, outside = counts[0][:-1], int(counts[0][-1])
-        found, expected = (pool(part, _POOLED, self.deposits) for part in (inside, self.masses))
+        found, expected = (pool(part, POOLED, self.deposits) for part in (inside, self.masses))
         n = counts[0].sum()
         said = [f"{outside} of {n} in no cell of the law"] if outside else []
         deviation = np.sqrt(np.maximum(n * expected * (1 - expected), 1e-300))
@@ -150,7 +151,7 @@ class OneSample(Test):
 
     def residuals(self, counts: tuple[np.ndarray, ...]) -> np.ndarray:
         """(observed - expected) / standard deviation by pooled cell."""
-        found, expected = (pool(part, _POOLED, self.deposits) for part in (counts[0][:-1], self.masses))
+        found, expected = (pool(part, POOLED, self.deposits) for part in (counts[0][:-1], self.masses))
         n = counts[0].sum()
         return (found - n * expected) / np.sqrt(np.maximum(n * expected * (1 - expected), 1e-12))
 
@@ -256,52 +257,6 @@ class Exchangeable(Test):
         return said
 
 
-def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None, max_weight: float) -> list[Test]:
-    """The tests for a law; `draws`, exact and used for nothing else, set the cells' ends.
-
-    A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are joint cells of up to
-    three coordinates and the density. Auxiliary coordinates named "u" stay out of the joint cells.
-    """
-    known = dict(law.statistics)
-    columns = coordinates(draws)
-    scalar = len(columns) == 1
-    if law.cdf is not None:
-        known |= _marginals(law, columns)
-    elif law.bins is not None:
-        known |= {"x": _binned(law)}
-    tests: list[Test] = []
-    for name, statistic in known.items():
-        ordered = isinstance(statistic, Continuous) or statistic.ordered
-        layer = "marginal" if ordered and (name in columns or scalar) else "joint"
-        places = _places(statistic, draws) if isinstance(statistic, Continuous) else None
-        tests.append(OneSample(name, statistic, layer, places=places))
-        if deposits is not None:
-            tests.append(OneSample(name, statistic, "deposits", True, max_weight, places))
-    for name, values in columns.items():
-        column = _Column(name)
-        ends = _quantiles(values, _CUTS)
-        if name not in known and len(ends):
-            tests.append(TwoSample(name, column, ends))
-            if deposits is not None and name in coordinates(deposits.picked.points):  # pyright: ignore
-                tests.append(TwoSample(name, column, ends, "deposits", deposits=True, max_weight=max_weight))
-        ends = _quantiles(values, _PAIRS)
-        if reversible and len(ends):
-            tests.append(Exchangeable(name, column, ends, 1e-4 * float(np.ptp(np.quantile(values, [0.05, 0.95])))))
-    main = [name for name in columns if name != "u" and not name.startswith("u[")]
-    if len(main) > 1 and not any(isinstance(s, Discrete) and not s.ordered for s in known.values()):
-        for group in _groups(main):
-            inner = tuple((name, _quantiles(columns[name], _JOINT[len(group)])) for name in group)
-            joint = _Joint(inner)
-            ends = np.arange(1, joint.cells) - 0.5
-            tests.append(TwoSample(", ".join(group), joint, ends, "joint", ordered=False))
-    if law.log_density is not None and not scalar:
-        energy = _Energy(jax.jit(jax.vmap(law.log_density)))
-        ends = _quantiles(energy(draws), _CUTS)
-        if len(ends):
-            tests.append(TwoSample("log density", energy, ends, "density"))
-    return tests
-
-
 def coordinates(positions: Position) -> dict[str, np.ndarray]:
     """Each coordinate of n positions by name, as (n,): "x" or "x[0]", and a tree's own keys."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(positions)
@@ -344,123 +299,7 @@ def pool(values: np.ndarray, cells: int, keep_last: bool) -> np.ndarray:
 
 def p_value_of_cells(counts: np.ndarray, masses: np.ndarray) -> float:
     """`goodness.cells_p_value`, cells of probability zero and no hits left out of the union."""
-    from mcmc1d.verify.goodness import cells_p_value
-
     if np.any((masses <= 0) & (counts > 0)):
         return 0.0
     lit = masses > 0
     return cells_p_value(counts[lit], masses[lit]) if lit.any() else 1.0
-
-
-@dataclass(frozen=True)
-class _Column:
-    """One coordinate."""
-
-    name: str
-
-    def __call__(self, where: Position) -> np.ndarray:
-        return coordinates(where)[self.name]
-
-
-@dataclass(frozen=True)
-class _Joint:
-    """The joint cell of several coordinates."""
-
-    inner: tuple[tuple[str, np.ndarray], ...]
-
-    @property
-    def cells(self) -> int:
-        """How many there are."""
-        return int(np.prod([len(ends) + 1 for _, ends in self.inner]))
-
-    def __call__(self, where: Position) -> np.ndarray:
-        columns = coordinates(where)
-        cell = np.zeros(len(next(iter(columns.values()))), np.int64)
-        for name, ends in self.inner:
-            cell = cell * (len(ends) + 1) + np.searchsorted(ends, columns[name], side="right")
-        return cell
-
-
-@dataclass(frozen=True)
-class _Energy:
-    """The log-density."""
-
-    batch: Any
-
-    def __call__(self, where: Position) -> np.ndarray:
-        return np.asarray(self.batch(where))
-
-
-def _marginals(law: Law, columns: Mapping[str, np.ndarray]) -> dict[str, Continuous]:
-    cdf = law.cdf
-    assert cdf is not None
-    if len(columns) == 1:
-        # A law on the line, whether its positions are (n,) or (n, 1).
-        (name,) = columns
-        return {name: Continuous(_Column(name), lambda x: np.ravel(cdf(x)))}
-    table = _Table(law)
-    return {name: _Marginal(_Column(name), cdf, table, k) for k, name in enumerate(columns)}
-
-
-class _Table:
-    """All marginal CDFs of a batch of positions; the last batch of each thread is kept, for the next coordinate."""
-
-    def __init__(self, law: Law):
-        self.law, self.last = law, threading.local()
-
-    def __call__(self, where: Position) -> np.ndarray:
-        if getattr(self.last, "where", None) is not where:
-            points = np.asarray(where, np.float64)
-            out = np.asarray(self.law.cdf(points), np.float64)  # pyright: ignore[reportOptionalCall]
-            require(
-                out.shape == points.shape,
-                f"{self.law.name}: cdf must return all marginal CDFs, shape {points.shape}, not {out.shape}",
-            )
-            self.last.where, self.last.table = where, out.reshape(len(points), -1)
-        return self.last.table
-
-
-@dataclass(frozen=True)
-class _Marginal(Continuous):
-    """One column of the table."""
-
-    table: _Table
-    column: int
-
-    def probability(self, where: Position) -> np.ndarray:
-        return self.table(where)[:, self.column]
-
-
-def _binned(law: Law) -> Discrete:
-    assert law.bins is not None
-    edges, masses = (np.asarray(part, np.float64) for part in law.bins)
-
-    def cell(x: Position) -> np.ndarray:
-        (values,) = coordinates(x).values()
-        k = np.searchsorted(edges, values, side="right") - 1
-        return np.where(values == edges[-1], len(masses) - 1, np.where(k < len(masses), k, -1))
-
-    labels = tuple(f"x in [{a:.4g}, {b:.4g}]" for a, b in itertools.pairwise(edges))
-    return Discrete(cell, masses / masses.sum(), labels, ordered=True)
-
-
-def _places(statistic: Continuous, draws: Position) -> np.ndarray:
-    """The statistic's values at the ends of the pooled cells, as near as the draws tell."""
-    return np.quantile(np.asarray(statistic.value(draws), np.float64), np.linspace(0, 1, _POOLED + 1))
-
-
-def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
-    """Inner ends of about equally probable cells; of discrete values, halfway between the ones that occur."""
-    values = np.asarray(values, np.float64)
-    different = np.unique(values)
-    if len(different) <= cells:
-        return (different[1:] + different[:-1]) / 2
-    ends = np.unique(np.quantile(values, np.arange(1, cells) / cells))
-    return ends[ends > different[0]]
-
-
-def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Which coordinates are looked at jointly: all of up to three, and every neighbouring pair of more."""
-    if len(names) <= 3:
-        return [tuple(names), *(itertools.pairwise(names) if len(names) == 3 else [])]
-    return list(itertools.pairwise(names))

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mcmc1d.verify.goodness import sign_p_value
-from mcmc1d.verify.kernels import LibrarySubject
 from mcmc1d.verify.law import Position
+from mcmc1d.verify.library import LibrarySubject
 
 _CELLS = 8
 

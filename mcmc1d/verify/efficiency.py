@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from mcmc1d.numerics import require
+from mcmc1d.verify.adapters import as_subject
 from mcmc1d.verify.battery import coordinates
-from mcmc1d.verify.engine import prepared
 from mcmc1d.verify.goodness import sign_p_value
+from mcmc1d.verify.law import as_law
+from mcmc1d.verify.sampler import Sampler, entropy
 
 _FAR = (0.02, 0.1, 0.3)  # of a coordinate's probability: short, middling and long moves
 
@@ -59,7 +61,11 @@ def efficiency(
     Arguments as `verify`'s; `reference` is a kernel that is known to be as good as it should be.
     """
     require(replicas >= 256, f"{replicas} replicas are too few to compare; give 256 or more")
-    runs = [prepared(each, target, seed=seed, name=f"efficiency {k}") for k, each in enumerate((kernel, reference))]
+    law, runs = as_law(target), []
+    for k, each in enumerate((kernel, reference)):
+        subject = as_subject(each, target, law, reversible=None, deposits=None, max_weight=1.0)
+        runs.append(Sampler(law, subject, entropy(seed, f"efficiency {k}")))
+        subject.check(runs[k].draw("design", 0, 0, subject.unit))
     draws = coordinates(runs[0].draw("design", 0, 0, 2**14))
     sorts = {name: np.sort(values) for name, values in draws.items()}
     start = runs[0].draw("start", 1, 0, replicas)

@@ -1,32 +1,30 @@
 """`verify`: a verdict with an error rate, for any kernel whose stationary law is known exactly."""
 
-import os
 import time
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.numerics import require
-from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates, design
+from mcmc1d.verify.adapters import as_subject
+from mcmc1d.verify.battery import OneSample, Test, TwoSample, coordinates
+from mcmc1d.verify.design import design
 from mcmc1d.verify.diagnose import diagnose
-from mcmc1d.verify.forgetting import REPLICAS, forgets, point
-from mcmc1d.verify.kernels import LibrarySubject, Look, Subject, as_subject
-from mcmc1d.verify.law import Law, Position, as_law
+from mcmc1d.verify.forgetting import REPLICAS, forgets
+from mcmc1d.verify.law import Position, as_law
 from mcmc1d.verify.ledger import Ledger, Scheme
+from mcmc1d.verify.library import LibrarySubject
 from mcmc1d.verify.report import Report, Result, Verdict
+from mcmc1d.verify.sampler import Sampler, Tally, entropy
 
 AIM = 0.005
 """The CDF gap that is aimed at unless one is asked for."""
 SETTLE = 0.05
 """The gap up to which a slow kernel may still PASS, where none was asked for."""
 _LOOKS = 16  # the early look is at this fraction of the first stage
-_CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
-_PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis")
 
 
 class LawError(ValueError):
@@ -101,87 +99,49 @@ def verify(
     name = name or f"{subject.name} on {law.name}"
     if level is None:
         level = 1e-5 if ledger is None else ledger.share(name)
-    run = Run(law, subject, Scheme(level), _entropy(seed, name), tuple(steps), power, max_weight, progress)
+    sampler = Sampler(law, subject, entropy(seed, name), tuple(steps), max_weight)
+    run = Run(sampler, Scheme(level), power, progress)
     run.prepare()
     run.size(gap, seconds, replicas)
     run.decide(ergodic)
     return run.report(name, seed, gap, replicas, time.perf_counter() - began)
 
 
-def prepared(kernel: Any, target: Any, *, seed: int, name: str) -> "Run":
-    """A run whose kernel and law have been looked at, for what else may be measured with them."""
-    law = as_law(target)
-    subject = as_subject(kernel, target, law, reversible=None, deposits=None, max_weight=1.0)
-    run = Run(law, subject, Scheme(), _entropy(seed, name), (1,), 0.99, 1.0, None)
-    subject.check(jax.tree.map(lambda a: a[: subject.unit], run.draw("design", 0, 0, REPLICAS)))
-    return run
-
-
-@dataclass
-class _Tally:
-    """Counts of all tests over some replicas."""
-
-    n: int = 0
-    counts: dict[tuple[int, int], tuple[np.ndarray, ...]] = field(default_factory=dict)
-    """By (steps, test)."""
-    moved: int = 0
-    still: set[str] = field(default_factory=set)
-    """Coordinates that no replica has moved."""
-    wrong: list[str] = field(default_factory=list)
-    """States that no kernel may return."""
-
-    def add(self, other: "_Tally") -> None:
-        """Take in another tally."""
-        for key, counts in other.counts.items():
-            own = self.counts.get(key)
-            self.counts[key] = counts if own is None else tuple(a + b for a, b in zip(own, counts, strict=True))
-        self.still = other.still if self.n == 0 else self.still & other.still
-        self.n += other.n
-        self.moved += other.moved
-        self.wrong += other.wrong
-
-
 @dataclass
 class Run:
     """One verification on its way."""
 
-    law: Law
-    subject: Subject
+    sampler: Sampler
     scheme: Scheme
-    seed: tuple[int, ...]
-    steps: tuple[int, ...]
     power: float
-    max_weight: float
     progress: Callable[[int, int], None] | None
-    tests: list[Test] = field(default_factory=list)
     n: int = 0
     grow: int = 4
     reasons: list[str] = field(default_factory=list)
     inconclusive: list[str] = field(default_factory=list)
-    first: _Tally = field(default_factory=_Tally)
-    deciding: _Tally = field(default_factory=_Tally)
+    first: Tally = field(default_factory=Tally)
+    deciding: Tally = field(default_factory=Tally)
     p_value: float = 1.0
     stages: int = 0
     replicas: int = 0
     forgotten: int | None = None
 
-    # --- before the first stage ---
-
     def prepare(self) -> None:
         """Look at the law and the kernel with a few draws, and choose the tests."""
-        draws = self.draw("design", 0, 0, 2 * REPLICAS)
-        few = jax.tree.map(lambda a: a[: self.subject.unit], draws)
-        self.subject.check(few)
-        look = next(iter(self.subject.watch(self.words("pilot"), 0, few, (1,))))
-        self.tests = design(
-            self.law,
+        sampler, subject = self.sampler, self.sampler.subject
+        draws = sampler.draw("design", 0, 0, 2 * REPLICAS)
+        few = jax.tree.map(lambda a: a[: subject.unit], draws)
+        subject.check(few)
+        look = next(iter(subject.watch(sampler.words("pilot"), 0, few, (1,))))
+        self.tests = sampler.tests = design(
+            sampler.law,
             draws,
-            reversible=bool(self.subject.reversible),
+            reversible=bool(subject.reversible),
             deposits=look if look.picked is not None else None,
-            max_weight=self.max_weight,
+            max_weight=sampler.max_weight,
         )
-        own = [(0, k) for k, test in enumerate(self.tests) if isinstance(test, OneSample) and not test.deposits]
-        self.keys = own + [(t, k) for t in self.steps for k in range(len(self.tests))]
+        own = [(0, k) for k, test in enumerate(self.tests) if sampler.own(test)]
+        self.keys = own + [(t, k) for t in sampler.steps for k in range(len(self.tests))]
         self.unlikely = self._unlikely(draws)
 
     @property
@@ -209,8 +169,7 @@ class Run:
         needed = _LOOKS
         while self.gap(needed) > aim and needed < 2**27:
             needed = int(needed * 1.02) + 1
-        workers = _workers() if self.subject.threads else 1
-        affordable = int(seconds * workers / self._rate())
+        affordable = int(seconds * self.sampler.workers / self.sampler.seconds_a_replica())
         if affordable < needed:
             # A quarter of a power of two, so that two runs of one kernel on one machine mostly agree on it.
             octave = 1 << max(affordable.bit_length() - 3, 0)
@@ -218,119 +177,20 @@ class Run:
         if affordable < 4 * needed:
             self.grow = 1  # what is slow gets further stages of the same size
         per_look = -(-needed // _LOOKS)
-        if per_look < self.subject.unit:
-            self.subject.unit = max(self.subject.least_unit, 1 << (per_look - 1).bit_length())
-        self.n = _LOOKS * (-(-per_look // self.subject.unit) * self.subject.unit)
-
-    def _rate(self) -> float:
-        """Seconds a replica, all told: drawn, run and counted; compiled before."""
-        n = self.subject.unit
-        self.chunk(0, 0, n)
-        begin = time.perf_counter()
-        self.chunk(0, 0, n)
-        return (time.perf_counter() - begin) / n
+        subject = self.sampler.subject
+        if per_look < subject.unit:
+            subject.unit = max(subject.least_unit, 1 << (per_look - 1).bit_length())
+        self.n = _LOOKS * (-(-per_look // subject.unit) * subject.unit)
 
     def _unlikely(self, draws: Position) -> Position:
         """The draws, the least likely first."""
-        if self.law.log_density is not None:
-            order = np.argsort(np.asarray(jax.vmap(self.law.log_density)(draws)))
+        log_density = self.sampler.law.log_density
+        if log_density is not None:
+            order = np.argsort(np.asarray(jax.vmap(log_density)(draws)))
         else:
             first = next(iter(coordinates(draws).values()))
             order = np.argsort(-np.abs(first - np.median(first)))
         return jax.tree.map(lambda a: np.asarray(a)[order], draws)
-
-    # --- one stage ---
-
-    def words(self, purpose: str, stage: int = 0, chunk: int = 0) -> tuple[int, ...]:
-        """What seeds one purpose, and no other: the law's draws and the kernel's steps must share no numbers."""
-        return (_PURPOSES.index(purpose) + 1, stage + 1, chunk + 1, *self.seed)
-
-    def draw(self, purpose: str, stage: int, chunk: int, n: int) -> Position:
-        """`n` exact draws, in the kernel's precision."""
-        rng = np.random.default_rng(self.words(purpose, stage, chunk))
-        drawn = self.law.sample(rng, n)
-        lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(drawn)}
-        require(lengths == {(n,)}, f"{self.law.name}: sample(rng, {n}) must return {n} positions, not {lengths}")
-        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(drawn) if np.asarray(leaf).dtype.kind == "f")
-        require(finite, f"{self.law.name}: sample returned NaN or an infinity")
-        return self.subject.prepare(jax.tree.map(np.asarray, drawn))
-
-    def stage(self, stage: int, n: int, first: int = 0) -> Iterable[_Tally]:
-        """The tallies of a stage's chunks, in their order, as they come in."""
-        unit = self.subject.unit
-        # Few enough replicas are not worth an early look.
-        size = min(max(_CHUNK // unit, 1) * unit, max(-(-n // _LOOKS), min(n, 4 * unit)))
-        chunks = [(k, min(size, n - k * size)) for k in range(-(-n // size))]
-        wide = jnp.zeros(()).dtype == jnp.float64
-
-        def work(chunk: tuple[int, int]) -> _Tally:
-            with jax.enable_x64(wide):  # a worker thread does not inherit a context
-                return self.chunk(stage, *chunk)
-
-        if not self.subject.threads:
-            yield from map(work, chunks)
-            return
-        with ThreadPoolExecutor(_workers()) as pool:
-            pending = [pool.submit(work, chunk) for chunk in chunks]
-            try:
-                for future in pending:
-                    yield future.result()
-            finally:
-                for future in pending:
-                    future.cancel()
-
-    def chunk(self, stage: int, chunk: int, n: int) -> _Tally:
-        """Draw, run and count."""
-        start, fresh = self.draw("start", stage, chunk, n), self.draw("fresh", stage, chunk, n)
-        uniform = np.random.default_rng(self.words("choice", stage, chunk)).random(n)
-        tally = _Tally(n)
-        for k, test in enumerate(self.tests):
-            if (0, k) in self.keys[: len(self.tests)]:
-                tally.counts[0, k] = test.count(Replicas(start, Look(start), fresh, uniform))
-        before = coordinates(start)
-        changed = {name: np.zeros(n, bool) for name in before}
-        walk = self.subject.walk(self.words("steps", stage, chunk), start, self.steps)
-        for t, look in zip(self.steps, walk, strict=True):
-            tally.wrong += self.inspect(start, look, t)
-            if tally.wrong:
-                return tally
-            for k, test in enumerate(self.tests):
-                tally.counts[t, k] = test.count(Replicas(start, look, fresh, uniform))
-            after = coordinates(look.positions)
-            for name in before:
-                changed[name] |= before[name] != after[name]
-        tally.moved = int(np.any(list(changed.values()), axis=0).sum())
-        tally.still = {name for name, change in changed.items() if not change.any()}
-        return tally
-
-    def inspect(self, start: Position, look: Look, t: int) -> list[str]:
-        """What no kernel may return, in words with an example."""
-        before, after = coordinates(start), coordinates(look.positions)
-        for name, values in after.items():
-            bad = ~np.isfinite(values) if values.dtype.kind == "f" else np.zeros(len(values), bool)
-            if bad.any():
-                k = int(np.argmax(bad))
-                return [
-                    f"it returns {values[k]} for {name} in {bad.sum()} of {len(bad)} replicas within "
-                    f"{t} steps, for one from {point(before, k)}; guard the arithmetic at such points"
-                ]
-        outside = ~inside(self.law, look.positions)
-        if outside.any():
-            k = int(np.argmax(outside))
-            return [
-                f"{outside.sum()} of {len(outside)} replicas leave the support within {t} steps, one from "
-                f"{point(before, k)} to {point(after, k)}; reject such proposals"
-            ]
-        picked = look.picked
-        if picked is not None:
-            require(
-                picked.least >= -1e-6 and picked.most <= self.max_weight * (1 + 1e-4),
-                f"the deposits' weights must not be negative and sum to max_weight = {self.max_weight:g} at most; the "
-                f"least is {picked.least:.6g} and the largest total {picked.most:.6g}: give max_weight= their bound",
-            )
-        return []
-
-    # --- the decision ---
 
     def decide(self, ergodic: bool) -> None:
         """All stages; then whether it moves, and whether it forgets."""
@@ -350,7 +210,7 @@ class Run:
                 break
             n = n * self.grow if stage == 1 else n
         if self.deciding.moved == 0:
-            self.reasons.append(f"it never moves: no replica was elsewhere after any of {self.steps} steps")
+            self.reasons.append(f"it never moves: no replica was elsewhere after any of {self.sampler.steps} steps")
         elif ergodic and self.deciding.still:
             self.reasons.append(
                 f"it never moves {', '.join(sorted(self.deciding.still))}; if it is only a part of a kernel, say "
@@ -359,9 +219,9 @@ class Run:
         elif ergodic:
             self.forget()
 
-    def _gather(self, stage: int, n: int) -> _Tally:
-        total, looked = _Tally(), False
-        for tally in self.stage(stage, n):
+    def _gather(self, stage: int, n: int) -> Tally:
+        total, looked = Tally(), False
+        for tally in self.sampler.stage(stage, n, _LOOKS):
             if tally.wrong:
                 self.reasons += tally.wrong
                 total.n += tally.n
@@ -376,23 +236,23 @@ class Run:
                     return total
         return total
 
-    def p_values(self, tally: _Tally) -> dict[tuple[int, int], float]:
+    def p_values(self, tally: Tally) -> dict[tuple[int, int], float]:
         """Each test's own."""
         return {key: self.tests[key[1]].p_value(tally.counts[key]) for key in self.keys if key in tally.counts}
 
-    def combined(self, tally: _Tally) -> float:
+    def combined(self, tally: Tally) -> float:
         """The smallest p-value times the number of tests."""
         return min(1.0, len(self.keys) * min(self.p_values(tally).values(), default=1.0))
 
-    def _failed(self, tally: _Tally) -> None:
+    def _failed(self, tally: Tally) -> None:
         values = self.p_values(tally)
         worst = min(values, key=lambda key: values[key])
         test = self.tests[worst[1]]
         if min((p for (t, _), p in values.items() if t == 0), default=1.0) <= self.threshold:
             where = "; ".join(test.worst(tally.counts[worst], 3))
             raise LawError(
-                f"{self.law.name}: its sampler and its exact law of {test.name} disagree (p = {values[worst]:.1e} from "
-                f"{tally.n} draws): {where}. Mend the sampler, or the cdf, bins or statistics"
+                f"{self.sampler.law.name}: its sampler and its exact law of {test.name} disagree "
+                f"(p = {values[worst]:.1e} from {tally.n} draws): {where}. Mend the sampler, the cdf, bins or statistics"
             )
         self.reasons.append(
             f"its {test.layer} law is wrong: {test.name} after {worst[0]} step{'s' * (worst[0] > 1)}"
@@ -402,19 +262,18 @@ class Run:
 
     def forget(self) -> None:
         """Whether chains from one bad point come near the law, and after how many steps."""
-        n = min(REPLICAS, max(self.subject.unit, self.n))
+        sampler, subject, law = self.sampler, self.sampler.subject, self.sampler.law
+        n = min(REPLICAS, max(subject.unit, self.n))
         bad = jax.tree.map(lambda a: a[0], self.unlikely)
-        if self.law.bad_start is not None:
-            bad = jax.tree.map(lambda a, like: np.asarray(a, like.dtype), self.law.bad_start, bad)
-        start = self.subject.crowd(bad, self.unlikely, n)
+        if law.bad_start is not None:
+            bad = jax.tree.map(lambda a, like: np.asarray(a, like.dtype), law.bad_start, bad)
+        start = subject.crowd(bad, self.unlikely, n)
         tests = [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
-        fresh = self.draw("forget", 0, 0, n)
-        found = forgets(self.subject, tests, start, fresh, self.words("walk"), self.inspect)
+        fresh = sampler.draw("forget", 0, 0, n)
+        found = forgets(subject, tests, start, fresh, sampler.words("walk"), sampler.inspect)
         self.forgotten = found.steps
         self.reasons += found.reasons
         self.inconclusive += found.doubts
-
-    # --- what is said ---
 
     def report(self, name: str, seed: int, gap: float | None, replicas: int | None, seconds: float) -> Report:
         """The verdict and all that it rests on."""
@@ -446,13 +305,13 @@ class Run:
                 )
             )
         diagnosis: list[str] = []
-        if verdict is Verdict.FAIL and isinstance(self.subject, LibrarySubject) and self.deciding.counts:
-            start = self.draw("diagnosis", 0, 0, 2**17)
-            diagnosis = diagnose(self.subject, self.words("diagnosis"), start)
+        sampler, subject = self.sampler, self.sampler.subject
+        if verdict is Verdict.FAIL and isinstance(subject, LibrarySubject) and self.deciding.counts:
+            diagnosis = diagnose(subject, sampler.words("diagnosis"), sampler.draw("diagnosis", 0, 0, 2**17))
         return Report(
             name=name,
-            kernel=self.subject.name,
-            law=self.law.name,
+            kernel=subject.name,
+            law=sampler.law.name,
             verdict=verdict,
             reasons=self.reasons or self.inconclusive,
             level=self.scheme.level,
@@ -467,36 +326,13 @@ class Run:
             forgotten=self.forgotten,
             seed=seed,
             seconds=seconds,
-            steps=self.steps,
+            steps=sampler.steps,
             tests=len(self.keys),
             results=results,
             diagnosis=diagnosis,
         )
 
 
-def inside(law: Law, where: Position) -> np.ndarray:
-    """Whether each position lies in the law's support; closed, and as wide as a float's rounding."""
-    n = len(jax.tree.leaves(where)[0])
-    if law.support is None:
-        return np.ones(n, bool)
-    if callable(law.support):
-        return np.asarray(law.support(where), bool)
-    lower, upper = law.support
-    x = np.asarray(where, np.float64).reshape(n, -1)
-    slack = 1e-6 * np.maximum(1, np.abs(x))
-    return np.all((x >= np.ravel(lower) - slack) & (x <= np.ravel(upper) + slack), axis=1)
-
-
 def _headline(test: Test) -> bool:
     """Whether it is a coordinate's own law, and not that of a chain's primary sample."""
     return test.layer == "marginal" and test.name != "u" and not test.name.startswith("u[")
-
-
-def _entropy(seed: int, name: str) -> tuple[int, ...]:
-    """Integers from the run's seed and the test's name."""
-    require(seed >= 0, f"a seed is not negative, unlike {seed}")
-    return (seed, *np.frombuffer(name.encode().ljust(-(-len(name.encode()) // 4) * 4), np.uint32).tolist())
-
-
-def _workers() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from mcmc1d.verify.battery import OneSample, Replicas, Test, coordinates
-from mcmc1d.verify.kernels import Look, Subject
 from mcmc1d.verify.law import Position
+from mcmc1d.verify.subject import Look, Subject
 
 REPLICAS = 8192
 _WITHIN = 0.06  # three times the DKW deviation of 8192 draws at probability 1e-3, which is 0.02

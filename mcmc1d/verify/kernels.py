@@ -1,8 +1,6 @@
-"""The kernels under test, brought to one form: independent replicas, started at given positions and looked at later."""
+"""Kernels as JAX functions of one chain, or as NumPy functions of many, under test."""
 
-import abc
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -10,90 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.metropolis import Cycle, Kernel, Metropolis
-from mcmc1d.moves import Move
-from mcmc1d.numerics import cast, jit_with, require
-from mcmc1d.random import uniforms
-from mcmc1d.state import Multiplexed, State
+from mcmc1d.numerics import jit_with, require
 from mcmc1d.types import Array, Key
-from mcmc1d.verify.law import Position, positions
+from mcmc1d.verify.law import Position
+from mcmc1d.verify.subject import PICK, Look, Subject, drawn, key_of, pick
 
-_PICK = 2**30  # the counter from which on a replica's random numbers pick deposits, not steps
-
-
-@dataclass(frozen=True)
-class Picked:
-    """One of each replica's deposits, drawn in proportion to its weight."""
-
-    points: Position
-    """Like positions; what a right estimator puts here has the target's law."""
-    none: np.ndarray
-    """(n,), where nothing was drawn: the weights' total is the probability, times `max_weight`, that something is."""
-    least: float
-    """The smallest weight met."""
-    most: float
-    """The largest total of one step's weights."""
-
-
-@dataclass(frozen=True)
-class Look:
-    """What a subject looks like after some steps."""
-
-    positions: Position
-    picked: Picked | None = None
-
-
-def joined(looks: Sequence[Look]) -> Look:
-    """The looks at several slices of replicas as one."""
-    positions = jax.tree.map(lambda *parts: np.concatenate(parts), *(look.positions for look in looks))
-    picked = [look.picked for look in looks if look.picked is not None]
-    if not picked:
-        return Look(positions)
-    points = jax.tree.map(lambda *parts: np.concatenate(parts), *(p.points for p in picked))
-    none = np.concatenate([p.none for p in picked])
-    return Look(positions, Picked(points, none, min(p.least for p in picked), max(p.most for p in picked)))
-
-
-class Subject(abc.ABC):
-    """A kernel under test."""
-
-    name: str
-    reversible: bool | None = None
-    """Whether it is declared to satisfy detailed balance; None where nothing has been said."""
-    unit: int = 2048
-    """How many replicas one call advances."""
-    least_unit: int = 256
-    """To how few that may be lowered for a slow kernel."""
-    threads: bool = False
-    """Whether calls may run side by side."""
-
-    @abc.abstractmethod
-    def check(self, start: Position) -> None:
-        """Raise `ValueError` where the kernel can not be run from such positions, with the words to mend it."""
-
-    @abc.abstractmethod
-    def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
-        """The replicas `first`, `first` + 1, ... from `start`, after each of the rising numbers of steps.
-
-        What comes out is a function of the arguments alone.
-        """
-
-    def walk(self, seed: Sequence[int], start: Position, times: Sequence[int]) -> Iterator[Look]:
-        """All replicas after each of the times, watched `unit` at a time."""
-        n = len(jax.tree.leaves(start)[0])
-        parts = [
-            self.watch(seed, a, jax.tree.map(lambda s, a=a: s[a : a + self.unit], start), times)
-            for a in range(0, n, self.unit)
-        ]
-        return (joined(looks) for looks in zip(*parts, strict=True))
-
-    def prepare(self, start: Position) -> Position:
-        """Exact draws in the precision in which the kernel runs."""
-        return start
-
-    def crowd(self, bad: Position, unlikely: Position, n: int) -> Position:
-        """`n` replicas at a bad start; `unlikely` are exact draws, the least likely first."""
-        return jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], n, 0), bad)
+_UNTRACEABLE = (
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerBoolConversionError,
+    jax.errors.TracerIntegerConversionError,
+    jax.errors.ConcretizationTypeError,
+    jax.errors.NonConcreteBooleanIndexError,
+)
 
 
 class JaxKernel(eqx.Module):
@@ -176,7 +102,7 @@ class JaxSubject(Subject):
         return jax.tree.map(_to_default, start)
 
     def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
-        key = _key(seed)
+        key = key_of(seed)
         n = len(jax.tree.leaves(start)[0])
         ids = jnp.arange(first, first + n, dtype=jnp.uint32)
         states = _begin(self.kernel, key, ids, start)
@@ -192,42 +118,8 @@ class JaxSubject(Subject):
                 jnp.asarray(time),
                 jnp.asarray(self.max_weight, float),
             )
-            yield Look(jax.tree.map(np.asarray, where), None if picked is None else _picked(picked))
+            yield Look(jax.tree.map(np.asarray, where), None if picked is None else drawn(picked))
             done = time
-
-
-class LibrarySubject(Subject):
-    """A kernel of this library on a `Multiplexed` target, run as `chain.run` runs it."""
-
-    threads = True
-    unit = least_unit = 4096  # a slice has one key, so its size is part of what a seed means
-
-    def __init__(self, kernel: Kernel, target: Multiplexed, reversible: bool | None):
-        self.kernel, self.target = kernel, target
-        self.dtype = jnp.zeros(()).dtype
-        self.name = _describe(kernel)
-        # An involution that is accepted by the Metropolis-Hastings-Green rule satisfies detailed balance.
-        self.reversible = isinstance(kernel, Metropolis) if reversible is None else reversible
-
-    def check(self, start: Position) -> None:
-        self.kernel.check(self.target)
-
-    def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
-        kernel, target = cast(self.kernel, self.dtype), cast(self.target, self.dtype)
-        key = _key((*seed, first))
-        state = State(jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
-        done = 0
-        for time in times:
-            state, points, picked = _advance_library(key, kernel, target, state, jnp.asarray(done), jnp.asarray(time))
-            yield Look(jax.tree.map(np.asarray, points), _picked(picked))
-            done = time
-
-    def kinds(self, seed: Sequence[int], first: int, start: Position) -> tuple[Position, np.ndarray]:
-        """The positions after one step, and the kind of move that each step was."""
-        kernel, target = cast(self.kernel, self.dtype), cast(self.target, self.dtype)
-        state = State(jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
-        after, kind = _one_step(_key((*seed, first)), kernel, target, state)
-        return positions(target, after), np.asarray(kind)
 
 
 class HostSubject(Subject):
@@ -272,49 +164,6 @@ class HostSubject(Subject):
             done = time
 
 
-def as_subject(
-    kernel: Any, target: Any, law: Any, *, reversible: bool | None, deposits: Any, max_weight: float
-) -> Subject:
-    """The subject for whatever kernel a user has; raises `ValueError` for what is none."""
-    from mcmc1d.verify import adapters
-
-    require(
-        not isinstance(kernel, type), f"give an instance, not the class: {getattr(kernel, '__name__', kernel)}(...)"
-    )
-    if isinstance(kernel, Kernel | Move):
-        require(
-            isinstance(target, Multiplexed),
-            f"a move of this library is verified on a mcmc1d.Multiplexed target, not on {type(target).__name__}",
-        )
-        return LibrarySubject(Metropolis(kernel) if isinstance(kernel, Move) else kernel, target, reversible)
-    if not isinstance(kernel, Subject | JaxKernel | HostKernel):
-        kernel = adapters.adapt(kernel, law)
-    if isinstance(kernel, JaxKernel):
-        changes: dict[str, Any] = {}
-        if deposits is not None:
-            changes["deposits"] = deposits
-        if reversible is not None:
-            changes["reversible"] = reversible
-        subject: Subject = JaxSubject(_replace(kernel, changes), max_weight)
-    elif isinstance(kernel, HostKernel):
-        require(deposits is None, "deposits are tested of JAX kernels only; a HostKernel has none")
-        subject = HostSubject(kernel)
-    else:
-        subject = kernel
-    if reversible is not None:
-        subject.reversible = reversible
-    return subject
-
-
-_UNTRACEABLE = (
-    jax.errors.TracerArrayConversionError,
-    jax.errors.TracerBoolConversionError,
-    jax.errors.TracerIntegerConversionError,
-    jax.errors.ConcretizationTypeError,
-    jax.errors.NonConcreteBooleanIndexError,
-)
-
-
 @eqx.filter_jit
 def _begin(kernel: JaxKernel, key: Key, ids: Array, start: Any) -> Any:
     def one(identity: Array, position: Any) -> Any:
@@ -336,7 +185,7 @@ def _advance(
         if kernel.deposits is None:
             return state, None
         points, weights = kernel.deposits(state, info)
-        return state, _pick(points, weights, jax.random.uniform(jax.random.fold_in(key, t + 1 + _PICK)), limit)
+        return state, pick(points, weights, jax.random.uniform(jax.random.fold_in(key, t + 1 + PICK)), limit)
 
     def batch(states: Any, t: Array) -> tuple[Any, Any]:
         return jax.vmap(one, in_axes=(0, 0, None))(keys, states, t)
@@ -344,63 +193,6 @@ def _advance(
     empty = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(batch, states, first)[1])
     states, picked = jax.lax.fori_loop(first, last, lambda t, carry: batch(carry[0], t), (states, empty))
     return states, jax.vmap(kernel.where)(states), picked
-
-
-def _pick(points: Any, weights: Array, uniform: Array, limit: Array) -> tuple[Any, Array, Array, Array]:
-    """One of the points, with probability weight / limit; whether none was; the least weight and the total."""
-    ends = jnp.cumsum(weights)
-    total = ends[-1]
-    # A total that falls short of the limit by rounding alone is the limit.
-    scale = jnp.where(jnp.abs(total - limit) <= 1e-5 * limit, total, limit)
-    chosen = jnp.sum(uniform * scale >= ends)
-    none = chosen >= weights.shape[0]
-    index = jnp.minimum(chosen, weights.shape[0] - 1)
-    return jax.tree.map(lambda p: p[index], points), none, jnp.min(weights), total
-
-
-@jit_with(xla_cpu_prefer_vector_width=512)
-def _advance_library(
-    key: Key, kernel: Kernel, target: Multiplexed, state: State, first: Array, last: Array
-) -> tuple[State, Any, Any]:
-    n, dtype = state.u.shape[0], state.u.dtype
-
-    def body(t: Array, carry: tuple[State, Any]) -> tuple[State, Any]:
-        step = _library_step(key, kernel, target, carry[0], t)
-        return step.state, step.deposits
-
-    states = jax.vmap(target.evaluate, out_axes=-1)(state)
-    shapes = jax.eval_shape(lambda s: body(first, (s, None))[1], states)
-    none = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-    # The deposits ride along, though only the last step's are looked at: so the step is compiled once.
-    after, deposits = jax.lax.fori_loop(first, last, body, (states, none))
-    points = {"index": deposits.index, "x": deposits.x}
-    uniform = uniforms(key, last + _PICK, (1, n), dtype)[0]
-    picked = jax.vmap(_pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, jnp.ones((), dtype))
-    where = {"index": after.index, "x": jnp.moveaxis(after.seen.x, -1, 0), "u": after.u.T}
-    return State(after.index, after.u.T), where, picked
-
-
-@eqx.filter_jit
-def _one_step(key: Key, kernel: Kernel, target: Multiplexed, state: State) -> tuple[State, Array]:
-    states = jax.vmap(target.evaluate, out_axes=-1)(state)
-    step = _library_step(key, kernel, target, states, jnp.asarray(0))
-    return State(step.state.index, step.state.u.T), step.info.kind[0]
-
-
-def _library_step(key: Key, kernel: Kernel, target: Multiplexed, state: State, t: Array) -> Any:
-    w = uniforms(key, t, (kernel.dim_w(target), state.u.shape[-1]), state.u.dtype)
-    return jax.vmap(lambda s, w: kernel.step(target, s, w), in_axes=-1, out_axes=-1)(state, w)
-
-
-def _picked(raw: Any) -> Picked:
-    points, none, least, total = jax.tree.map(np.asarray, raw)
-    return Picked(points, none, float(least.min()), float(total.max()))
-
-
-def _key(seed: Sequence[int]) -> Key:
-    """A key from any integers, by NumPy's mixing of seeds."""
-    word = np.random.SeedSequence(list(seed)).generate_state(2, np.uint32)
-    return jax.random.wrap_key_data(jnp.asarray(word))
 
 
 def _to_default(a: np.ndarray) -> np.ndarray:
@@ -432,16 +224,3 @@ def _shapes(tree: Any) -> str:
 
 def _name(function: Any) -> str:
     return getattr(function, "__name__", type(function).__name__)
-
-
-def _describe(kernel: Kernel) -> str:
-    if isinstance(kernel, Metropolis):
-        return type(kernel.move).__name__ + (f"({', '.join(kernel.kinds)})" if len(kernel.kinds) > 1 else "")
-    if isinstance(kernel, Cycle):
-        return " then ".join(_describe(k) for k in kernel.kernels)
-    return type(kernel).__name__
-
-
-def _replace(kernel: JaxKernel, changes: dict[str, Any]) -> JaxKernel:
-    fields = {name: getattr(kernel, name) for name in ("step", "init", "position", "deposits", "reversible", "name")}
-    return JaxKernel(**(fields | changes))

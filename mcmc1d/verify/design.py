@@ -1,0 +1,179 @@
+"""Which tests a law is put to."""
+
+import itertools
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from mcmc1d.numerics import require
+from mcmc1d.verify.battery import POOLED, Exchangeable, OneSample, Test, TwoSample, coordinates
+from mcmc1d.verify.law import Continuous, Discrete, Law, Position
+from mcmc1d.verify.subject import Look
+
+_CUTS = 64
+_JOINT = {1: 32, 2: 10, 3: 5}  # cells a coordinate in a joint test, by the number of coordinates
+_PAIRS = 12  # cells of a statistic whose first and last values are compared: 66 pairs
+
+
+def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None, max_weight: float) -> list[Test]:
+    """The tests for a law; `draws`, exact and used for nothing else, set the cells' ends.
+
+    A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are joint cells of up to
+    three coordinates and the density. Auxiliary coordinates named "u" stay out of the joint cells.
+    """
+    known = dict(law.statistics)
+    columns = coordinates(draws)
+    scalar = len(columns) == 1
+    if law.cdf is not None:
+        known |= _marginals(law, columns)
+    elif law.bins is not None:
+        known |= {"x": _binned(law)}
+    tests: list[Test] = []
+    for name, statistic in known.items():
+        ordered = isinstance(statistic, Continuous) or statistic.ordered
+        layer = "marginal" if ordered and (name in columns or scalar) else "joint"
+        places = _places(statistic, draws) if isinstance(statistic, Continuous) else None
+        tests.append(OneSample(name, statistic, layer, places=places))
+        if deposits is not None:
+            tests.append(OneSample(name, statistic, "deposits", True, max_weight, places))
+    for name, values in columns.items():
+        column = _Column(name)
+        ends = _quantiles(values, _CUTS)
+        if name not in known and len(ends):
+            tests.append(TwoSample(name, column, ends))
+            if deposits is not None and name in coordinates(deposits.picked.points):  # pyright: ignore
+                tests.append(TwoSample(name, column, ends, "deposits", deposits=True, max_weight=max_weight))
+        ends = _quantiles(values, _PAIRS)
+        if reversible and len(ends):
+            tests.append(Exchangeable(name, column, ends, 1e-4 * float(np.ptp(np.quantile(values, [0.05, 0.95])))))
+    main = [name for name in columns if name != "u" and not name.startswith("u[")]
+    if len(main) > 1 and not any(isinstance(s, Discrete) and not s.ordered for s in known.values()):
+        for group in _groups(main):
+            inner = tuple((name, _quantiles(columns[name], _JOINT[len(group)])) for name in group)
+            joint = _Joint(inner)
+            ends = np.arange(1, joint.cells) - 0.5
+            tests.append(TwoSample(", ".join(group), joint, ends, "joint", ordered=False))
+    if law.log_density is not None and not scalar:
+        energy = _Energy(jax.jit(jax.vmap(law.log_density)))
+        ends = _quantiles(energy(draws), _CUTS)
+        if len(ends):
+            tests.append(TwoSample("log density", energy, ends, "density"))
+    return tests
+
+
+@dataclass(frozen=True)
+class _Column:
+    """One coordinate."""
+
+    name: str
+
+    def __call__(self, where: Position) -> np.ndarray:
+        return coordinates(where)[self.name]
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """The joint cell of several coordinates."""
+
+    inner: tuple[tuple[str, np.ndarray], ...]
+
+    @property
+    def cells(self) -> int:
+        """How many there are."""
+        return int(np.prod([len(ends) + 1 for _, ends in self.inner]))
+
+    def __call__(self, where: Position) -> np.ndarray:
+        columns = coordinates(where)
+        cell = np.zeros(len(next(iter(columns.values()))), np.int64)
+        for name, ends in self.inner:
+            cell = cell * (len(ends) + 1) + np.searchsorted(ends, columns[name], side="right")
+        return cell
+
+
+@dataclass(frozen=True)
+class _Energy:
+    """The log-density."""
+
+    batch: Any
+
+    def __call__(self, where: Position) -> np.ndarray:
+        return np.asarray(self.batch(where))
+
+
+def _marginals(law: Law, columns: Mapping[str, np.ndarray]) -> dict[str, Continuous]:
+    cdf = law.cdf
+    assert cdf is not None
+    if len(columns) == 1:
+        # A law on the line, whether its positions are (n,) or (n, 1).
+        (name,) = columns
+        return {name: Continuous(_Column(name), lambda x: np.ravel(cdf(x)))}
+    table = _Table(law)
+    return {name: _Marginal(_Column(name), cdf, table, k) for k, name in enumerate(columns)}
+
+
+class _Table:
+    """All marginal CDFs of a batch of positions; the last batch of each thread is kept, for the next coordinate."""
+
+    def __init__(self, law: Law):
+        self.law, self.last = law, threading.local()
+
+    def __call__(self, where: Position) -> np.ndarray:
+        if getattr(self.last, "where", None) is not where:
+            points = np.asarray(where, np.float64)
+            out = np.asarray(self.law.cdf(points), np.float64)  # pyright: ignore[reportOptionalCall]
+            require(
+                out.shape == points.shape,
+                f"{self.law.name}: cdf must return all marginal CDFs, shape {points.shape}, not {out.shape}",
+            )
+            self.last.where, self.last.table = where, out.reshape(len(points), -1)
+        return self.last.table
+
+
+@dataclass(frozen=True)
+class _Marginal(Continuous):
+    """One column of the table."""
+
+    table: _Table
+    column: int
+
+    def probability(self, where: Position) -> np.ndarray:
+        return self.table(where)[:, self.column]
+
+
+def _binned(law: Law) -> Discrete:
+    assert law.bins is not None
+    edges, masses = (np.asarray(part, np.float64) for part in law.bins)
+
+    def cell(x: Position) -> np.ndarray:
+        (values,) = coordinates(x).values()
+        k = np.searchsorted(edges, values, side="right") - 1
+        return np.where(values == edges[-1], len(masses) - 1, np.where(k < len(masses), k, -1))
+
+    labels = tuple(f"x in [{a:.4g}, {b:.4g}]" for a, b in itertools.pairwise(edges))
+    return Discrete(cell, masses / masses.sum(), labels, ordered=True)
+
+
+def _places(statistic: Continuous, draws: Position) -> np.ndarray:
+    """The statistic's values at the ends of the pooled cells, as near as the draws tell."""
+    return np.quantile(np.asarray(statistic.value(draws), np.float64), np.linspace(0, 1, POOLED + 1))
+
+
+def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
+    """Inner ends of about equally probable cells; of discrete values, halfway between the ones that occur."""
+    values = np.asarray(values, np.float64)
+    different = np.unique(values)
+    if len(different) <= cells:
+        return (different[1:] + different[:-1]) / 2
+    ends = np.unique(np.quantile(values, np.arange(1, cells) / cells))
+    return ends[ends > different[0]]
+
+
+def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Which coordinates are looked at jointly: all of up to three, and every neighbouring pair of more."""
+    if len(names) <= 3:
+        return [tuple(names), *(itertools.pairwise(names) if len(names) == 3 else [])]
+    return list(itertools.pairwise(names))

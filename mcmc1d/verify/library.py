@@ -1,0 +1,93 @@
+"""Kernels of this library under test."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.metropolis import Cycle, Kernel, Metropolis
+from mcmc1d.numerics import cast, jit_with
+from mcmc1d.random import uniforms
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Key
+from mcmc1d.verify.law import Position, positions
+from mcmc1d.verify.subject import PICK, Look, Subject, drawn, key_of, pick
+
+
+class LibrarySubject(Subject):
+    """A kernel of this library on a `Multiplexed` target, run as `chain.run` runs it."""
+
+    threads = True
+    unit = least_unit = 4096  # a slice has one key, so its size is part of what a seed means
+
+    def __init__(self, kernel: Kernel, target: Multiplexed, reversible: bool | None):
+        self.kernel, self.target = kernel, target
+        self.dtype = jnp.zeros(()).dtype
+        self.name = _describe(kernel)
+        # An involution that is accepted by the Metropolis-Hastings-Green rule satisfies detailed balance.
+        self.reversible = isinstance(kernel, Metropolis) if reversible is None else reversible
+
+    def check(self, start: Position) -> None:
+        self.kernel.check(self.target)
+
+    def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
+        kernel, target = cast(self.kernel, self.dtype), cast(self.target, self.dtype)
+        key = key_of((*seed, first))
+        state = State(jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
+        done = 0
+        for time in times:
+            state, points, picked = _advance_library(key, kernel, target, state, jnp.asarray(done), jnp.asarray(time))
+            yield Look(jax.tree.map(np.asarray, points), drawn(picked))
+            done = time
+
+    def kinds(self, seed: Sequence[int], first: int, start: Position) -> tuple[Position, np.ndarray]:
+        """The positions after one step, and the kind of move that each step was."""
+        kernel, target = cast(self.kernel, self.dtype), cast(self.target, self.dtype)
+        state = State(jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
+        after, kind = _one_step(key_of((*seed, first)), kernel, target, state)
+        return positions(target, after), np.asarray(kind)
+
+
+@jit_with(xla_cpu_prefer_vector_width=512)
+def _advance_library(
+    key: Key, kernel: Kernel, target: Multiplexed, state: State, first: Array, last: Array
+) -> tuple[State, Any, Any]:
+    n, dtype = state.u.shape[0], state.u.dtype
+
+    def body(t: Array, carry: tuple[State, Any]) -> tuple[State, Any]:
+        step = _library_step(key, kernel, target, carry[0], t)
+        return step.state, step.deposits
+
+    states = jax.vmap(target.evaluate, out_axes=-1)(state)
+    shapes = jax.eval_shape(lambda s: body(first, (s, None))[1], states)
+    none = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    # The deposits ride along, though only the last step's are looked at: so the step is compiled once.
+    after, deposits = jax.lax.fori_loop(first, last, body, (states, none))
+    points = {"index": deposits.index, "x": deposits.x}
+    uniform = uniforms(key, last + PICK, (1, n), dtype)[0]
+    picked = jax.vmap(pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, jnp.ones((), dtype))
+    where = {"index": after.index, "x": jnp.moveaxis(after.seen.x, -1, 0), "u": after.u.T}
+    return State(after.index, after.u.T), where, picked
+
+
+@eqx.filter_jit
+def _one_step(key: Key, kernel: Kernel, target: Multiplexed, state: State) -> tuple[State, Array]:
+    states = jax.vmap(target.evaluate, out_axes=-1)(state)
+    step = _library_step(key, kernel, target, states, jnp.asarray(0))
+    return State(step.state.index, step.state.u.T), step.info.kind[0]
+
+
+def _library_step(key: Key, kernel: Kernel, target: Multiplexed, state: State, t: Array) -> Any:
+    w = uniforms(key, t, (kernel.dim_w(target), state.u.shape[-1]), state.u.dtype)
+    return jax.vmap(lambda s, w: kernel.step(target, s, w), in_axes=-1, out_axes=-1)(state, w)
+
+
+def _describe(kernel: Kernel) -> str:
+    if isinstance(kernel, Metropolis):
+        return type(kernel.move).__name__ + (f"({', '.join(kernel.kinds)})" if len(kernel.kinds) > 1 else "")
+    if isinstance(kernel, Cycle):
+        return " then ".join(_describe(k) for k in kernel.kernels)
+    return type(kernel).__name__

@@ -1,0 +1,183 @@
+"""Independent replicas of a kernel that start as exact draws, run and counted chunk by chunk."""
+
+import os
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.numerics import require
+from mcmc1d.verify.battery import OneSample, Replicas, Test, coordinates
+from mcmc1d.verify.forgetting import point
+from mcmc1d.verify.law import Law, Position
+from mcmc1d.verify.subject import Look, Subject
+
+_CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
+_PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis")
+
+
+@dataclass
+class Tally:
+    """Counts of all tests over some replicas."""
+
+    n: int = 0
+    counts: dict[tuple[int, int], tuple[np.ndarray, ...]] = field(default_factory=dict)
+    """By (steps, test); steps 0 is the law's own sampler."""
+    moved: int = 0
+    still: set[str] = field(default_factory=set)
+    """Coordinates that no replica has moved."""
+    wrong: list[str] = field(default_factory=list)
+    """States that no kernel may return."""
+
+    def add(self, other: "Tally") -> None:
+        """Take in another tally."""
+        for key, counts in other.counts.items():
+            own = self.counts.get(key)
+            self.counts[key] = counts if own is None else tuple(a + b for a, b in zip(own, counts, strict=True))
+        self.still = other.still if self.n == 0 else self.still & other.still
+        self.n += other.n
+        self.moved += other.moved
+        self.wrong += other.wrong
+
+
+@dataclass
+class Sampler:
+    """Where the replicas of one verification come from: everything random in it derives from `seed`."""
+
+    law: Law
+    subject: Subject
+    seed: tuple[int, ...]
+    steps: tuple[int, ...] = (1,)
+    max_weight: float = 1.0
+    tests: list[Test] = field(default_factory=list)
+
+    def words(self, purpose: str, stage: int = 0, chunk: int = 0) -> tuple[int, ...]:
+        """What seeds one purpose, and no other: the law's draws and the kernel's steps must share no numbers."""
+        return (_PURPOSES.index(purpose) + 1, stage + 1, chunk + 1, *self.seed)
+
+    def draw(self, purpose: str, stage: int, chunk: int, n: int) -> Position:
+        """`n` exact draws, in the kernel's precision."""
+        rng = np.random.default_rng(self.words(purpose, stage, chunk))
+        drawn = self.law.sample(rng, n)
+        lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(drawn)}
+        require(lengths == {(n,)}, f"{self.law.name}: sample(rng, {n}) must return {n} positions, not {lengths}")
+        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(drawn) if np.asarray(leaf).dtype.kind == "f")
+        require(finite, f"{self.law.name}: sample returned NaN or an infinity")
+        return self.subject.prepare(jax.tree.map(np.asarray, drawn))
+
+    def own(self, test: Test) -> bool:
+        """Whether the law's own draws can be put to a test: before the first step."""
+        return isinstance(test, OneSample) and not test.deposits
+
+    @property
+    def workers(self) -> int:
+        """How many chunks run side by side."""
+        if not self.subject.threads:
+            return 1
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+    def seconds_a_replica(self) -> float:
+        """All told: drawn, run and counted; compiled before."""
+        n = self.subject.unit
+        self.chunk(0, 0, n)
+        begin = time.perf_counter()
+        self.chunk(0, 0, n)
+        return (time.perf_counter() - begin) / n
+
+    def stage(self, stage: int, n: int, looks: int) -> Iterable[Tally]:
+        """The tallies of a stage's chunks, in their order, as they come in; `looks` of them or more, if n is large."""
+        unit = self.subject.unit
+        # Few enough replicas are not worth an early look.
+        size = min(max(_CHUNK // unit, 1) * unit, max(-(-n // looks), min(n, 4 * unit)))
+        chunks = [(k, min(size, n - k * size)) for k in range(-(-n // size))]
+        wide = jnp.zeros(()).dtype == jnp.float64
+
+        def work(chunk: tuple[int, int]) -> Tally:
+            with jax.enable_x64(wide):  # a worker thread does not inherit a context
+                return self.chunk(stage, *chunk)
+
+        if self.workers == 1:
+            yield from map(work, chunks)
+            return
+        with ThreadPoolExecutor(self.workers) as pool:
+            pending = [pool.submit(work, chunk) for chunk in chunks]
+            try:
+                for future in pending:
+                    yield future.result()
+            finally:
+                for future in pending:
+                    future.cancel()
+
+    def chunk(self, stage: int, chunk: int, n: int) -> Tally:
+        """Draw, run and count."""
+        start, fresh = self.draw("start", stage, chunk, n), self.draw("fresh", stage, chunk, n)
+        uniform = np.random.default_rng(self.words("choice", stage, chunk)).random(n)
+        tally = Tally(n)
+        for k, test in enumerate(self.tests):
+            if self.own(test):
+                tally.counts[0, k] = test.count(Replicas(start, Look(start), fresh, uniform))
+        before = coordinates(start)
+        changed = {name: np.zeros(n, bool) for name in before}
+        walk = self.subject.walk(self.words("steps", stage, chunk), start, self.steps)
+        for t, look in zip(self.steps, walk, strict=True):
+            tally.wrong += self.inspect(start, look, t)
+            if tally.wrong:
+                return tally
+            for k, test in enumerate(self.tests):
+                tally.counts[t, k] = test.count(Replicas(start, look, fresh, uniform))
+            after = coordinates(look.positions)
+            for name in before:
+                changed[name] |= before[name] != after[name]
+        tally.moved = int(np.any(list(changed.values()), axis=0).sum())
+        tally.still = {name for name, change in changed.items() if not change.any()}
+        return tally
+
+    def inspect(self, start: Position, look: Look, t: int) -> list[str]:
+        """What no kernel may return, in words with an example."""
+        before, after = coordinates(start), coordinates(look.positions)
+        for name, values in after.items():
+            bad = ~np.isfinite(values) if values.dtype.kind == "f" else np.zeros(len(values), bool)
+            if bad.any():
+                k = int(np.argmax(bad))
+                return [
+                    f"it returns {values[k]} for {name} in {bad.sum()} of {len(bad)} replicas within "
+                    f"{t} steps, for one from {point(before, k)}; guard the arithmetic at such points"
+                ]
+        outside = ~inside(self.law, look.positions)
+        if outside.any():
+            k = int(np.argmax(outside))
+            return [
+                f"{outside.sum()} of {len(outside)} replicas leave the support within {t} steps, one from "
+                f"{point(before, k)} to {point(after, k)}; reject such proposals"
+            ]
+        picked = look.picked
+        if picked is not None:
+            require(
+                picked.least >= -1e-6 and picked.most <= self.max_weight * (1 + 1e-4),
+                f"the deposits' weights must not be negative and sum to max_weight = {self.max_weight:g} at most; the "
+                f"least is {picked.least:.6g} and the largest total {picked.most:.6g}: give max_weight= their bound",
+            )
+        return []
+
+
+def inside(law: Law, where: Position) -> np.ndarray:
+    """Whether each position lies in the law's support; closed, and as wide as a float's rounding."""
+    n = len(jax.tree.leaves(where)[0])
+    if law.support is None:
+        return np.ones(n, bool)
+    if callable(law.support):
+        return np.asarray(law.support(where), bool)
+    lower, upper = law.support
+    x = np.asarray(where, np.float64).reshape(n, -1)
+    slack = 1e-6 * np.maximum(1, np.abs(x))
+    return np.all((x >= np.ravel(lower) - slack) & (x <= np.ravel(upper) + slack), axis=1)
+
+
+def entropy(seed: int, name: str) -> tuple[int, ...]:
+    """Integers from the run's seed and the test's name."""
+    require(seed >= 0, f"a seed is not negative, unlike {seed}")
+    return (seed, *np.frombuffer(name.encode().ljust(-(-len(name.encode()) // 4) * 4), np.uint32).tolist())

@@ -1,0 +1,115 @@
+"""What is under test, brought to one form: independent replicas, started at given positions and looked at later."""
+
+import abc
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.types import Array, Key
+from mcmc1d.verify.law import Position
+
+PICK = 2**30
+"""The counter from which on a replica's random numbers pick deposits, not steps."""
+
+
+@dataclass(frozen=True)
+class Picked:
+    """One of each replica's deposits, drawn in proportion to its weight."""
+
+    points: Position
+    """Like positions; what a right estimator puts here has the target's law."""
+    none: np.ndarray
+    """(n,), where nothing was drawn: the weights' total is the probability, times `max_weight`, that something is."""
+    least: float
+    """The smallest weight met."""
+    most: float
+    """The largest total of one step's weights."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a subject looks like after some steps."""
+
+    positions: Position
+    picked: Picked | None = None
+
+
+class Subject(abc.ABC):
+    """A kernel under test."""
+
+    name: str
+    reversible: bool | None = None
+    """Whether it is declared to satisfy detailed balance; None where nothing has been said."""
+    unit: int = 2048
+    """How many replicas one call advances."""
+    least_unit: int = 256
+    """To how few that may be lowered for a slow kernel."""
+    threads: bool = False
+    """Whether calls may run side by side."""
+
+    @abc.abstractmethod
+    def check(self, start: Position) -> None:
+        """Raise `ValueError` where the kernel can not be run from such positions, with the words to mend it."""
+
+    @abc.abstractmethod
+    def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
+        """The replicas `first`, `first` + 1, ... from `start`, after each of the rising numbers of steps.
+
+        What comes out is a function of the arguments alone.
+        """
+
+    def walk(self, seed: Sequence[int], start: Position, times: Sequence[int]) -> Iterator[Look]:
+        """All replicas after each of the times, watched `unit` at a time."""
+        n = len(jax.tree.leaves(start)[0])
+        parts = [
+            self.watch(seed, a, jax.tree.map(lambda s, a=a: s[a : a + self.unit], start), times)
+            for a in range(0, n, self.unit)
+        ]
+        return (joined(looks) for looks in zip(*parts, strict=True))
+
+    def prepare(self, start: Position) -> Position:
+        """Exact draws in the precision in which the kernel runs."""
+        return start
+
+    def crowd(self, bad: Position, unlikely: Position, n: int) -> Position:
+        """`n` replicas at a bad start; `unlikely` are exact draws, the least likely first."""
+        return jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], n, 0), bad)
+
+
+def joined(looks: Sequence[Look]) -> Look:
+    """The looks at several slices of replicas as one."""
+    positions = jax.tree.map(lambda *parts: np.concatenate(parts), *(look.positions for look in looks))
+    picked = [look.picked for look in looks if look.picked is not None]
+    if not picked:
+        return Look(positions)
+    points = jax.tree.map(lambda *parts: np.concatenate(parts), *(p.points for p in picked))
+    none = np.concatenate([p.none for p in picked])
+    return Look(positions, Picked(points, none, min(p.least for p in picked), max(p.most for p in picked)))
+
+
+def pick(points: Any, weights: Array, uniform: Array, limit: Array) -> tuple[Any, Array, Array, Array]:
+    """One of the points, with probability weight / limit; whether none was; the least weight and the total."""
+    ends = jnp.cumsum(weights)
+    total = ends[-1]
+    # A total that falls short of the limit by rounding alone is the limit.
+    scale = jnp.where(jnp.abs(total - limit) <= 1e-5 * limit, total, limit)
+    chosen = jnp.sum(uniform * scale >= ends)
+    none = chosen >= weights.shape[0]
+    index = jnp.minimum(chosen, weights.shape[0] - 1)
+    return jax.tree.map(lambda p: p[index], points), none, jnp.min(weights), total
+
+
+def drawn(raw: Any) -> Picked:
+    """Deposits picked by replica, brought to the host."""
+    points, none, least, total = jax.tree.map(np.asarray, raw)
+    return Picked(points, none, float(least.min()), float(total.max()))
+
+
+def key_of(seed: Sequence[int]) -> Key:
+    """A key from any integers, by NumPy's mixing of seeds."""
+    word = np.random.SeedSequence(list(seed)).generate_state(2, np.uint32)
+    return jax.random.wrap_key_data(jnp.asarray(word))
