@@ -72,6 +72,23 @@ def run(
 
 
 @app.command()
+def draw(
+    names: Annotated[list[str], typer.Argument(help="Which experiments; see `list`.")], out: Out = Path("figures")
+):
+    """Draw again, and judge again, from the data of the last run."""
+    framework.require_writable(out)
+    framework.style()
+    for name in names:
+        module = framework.load(name)
+        data, record = framework.read(out, name)
+        found = module.judge(data)
+        record["claims"] = [vars(claim) for claim in found]
+        framework.write(out, name, data, module.draw(data), record)
+        console.print(module.table(data))
+        _print_claims(found)
+
+
+@app.command()
 def claims(
     out: Out = Path("figures"),
     json_: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,

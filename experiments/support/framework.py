@@ -118,6 +118,12 @@ def read_claims(out: Path) -> list[Claim]:
     return found
 
 
+def read(out: Path, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
+    """The data and the manifest of the last run of an experiment; `ValueError` where there is none."""
+    require((out / f"{name}.json").exists(), f"no results of {name} in {out}; run `python -m experiments run {name}`")
+    return xr.load_dataset(out / f"{name}.nc", engine="h5netcdf"), json.loads((out / f"{name}.json").read_text())
+
+
 def markdown(claims: list[Claim]) -> list[str]:
     """The lines of the README's table."""
     rows = [f"| {c.statement} | {c.source} | **{c.verdict}** | {c.number} | {c.tolerance} |" for c in claims]
@@ -178,6 +184,7 @@ __all__ = [
     "manifest",
     "markdown",
     "names",
+    "read",
     "read_claims",
     "require_writable",
     "style",

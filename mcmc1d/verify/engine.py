@@ -252,7 +252,7 @@ class Run:
             where = "; ".join(test.worst(tally.counts[worst], 3))
             raise LawError(
                 f"{self.sampler.law.name}: its sampler and its exact law of {test.name} disagree "
-                f"(p = {values[worst]:.1e} from {tally.n} draws): {where}. Mend the sampler, the cdf, bins or statistics"
+                f"(p = {values[worst]:.1e} from {tally.n} draws): {where}. Mend the sampler, the cdf, bins or masses"
             )
         self.reasons.append(
             f"its {test.layer} law is wrong: {test.name} after {worst[0]} step{'s' * (worst[0] > 1)}"

@@ -17,7 +17,7 @@ class Scheme:
     """
 
     level: float = 1e-5
-    stages: int = 7
+    stages: int = 4
     look: float = 0.1
     """The share of the level that is spent on the early look."""
 

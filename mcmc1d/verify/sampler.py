@@ -29,7 +29,7 @@ class Tally:
     """By (steps, test); steps 0 is the law's own sampler."""
     moved: int = 0
     still: set[str] = field(default_factory=set)
-    """Coordinates that no replica has moved."""
+    """Coordinates that no replica has moved, though the law varies in them."""
     wrong: list[str] = field(default_factory=list)
     """States that no kernel may return."""
 
@@ -91,8 +91,9 @@ class Sampler:
     def stage(self, stage: int, n: int, looks: int) -> Iterable[Tally]:
         """The tallies of a stage's chunks, in their order, as they come in; `looks` of them or more, if n is large."""
         unit = self.subject.unit
-        # Few enough replicas are not worth an early look.
-        size = min(max(_CHUNK // unit, 1) * unit, max(-(-n // looks), min(n, 4 * unit)))
+        # Two chunks a look, for two workers; few enough replicas are not worth one.
+        half = -(-n // (2 * looks * unit)) * unit
+        size = min(max(_CHUNK // unit, 1) * unit, max(half, min(n, 4 * unit)))
         chunks = [(k, min(size, n - k * size)) for k in range(-(-n // size))]
         wide = jnp.zeros(()).dtype == jnp.float64
 
@@ -133,7 +134,7 @@ class Sampler:
             for name in before:
                 changed[name] |= before[name] != after[name]
         tally.moved = int(np.any(list(changed.values()), axis=0).sum())
-        tally.still = {name for name, change in changed.items() if not change.any()}
+        tally.still = {name for name, change in changed.items() if not change.any() and np.ptp(before[name]) > 0}
         return tally
 
     def inspect(self, start: Position, look: Look, t: int) -> list[str]:

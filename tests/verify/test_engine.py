@@ -287,3 +287,8 @@ def test_deposits_of_random_total_are_right_if_their_expectation_is():
     assert verify.verify(kernel(2.0), NORMAL, max_weight=2.0, **SMALL).passed
     report = verify.verify(kernel(1.6), NORMAL, max_weight=2.0, **SMALL)
     assert {failure.layer for failure in report.failures} == {"deposits"}
+
+
+def test_an_index_that_has_one_value_need_not_move():
+    target = mcmc1d.Multiplexed(mcmc1d.targets.Sinusoid(), mcmc1d.techniques.Uniform())
+    assert verify.verify(moves.SmallStep(0.1), target, **SMALL).passed

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-LAYERS = ("contract", "marginal", "joint", "density", "exchangeability", "deposits", "motion", "efficiency")
-"""What can catch a mutant: `check_technique` and `check_move`; the tests of `verify` by kind; "motion", that it moves,
-stays where the law is and forgets a bad start; "efficiency", `verify.efficiency` against the right kernel, for what
-changes the variance only."""
+LAYERS = ("contract", "law", "marginal", "joint", "density", "exchangeability", "deposits", "motion", "efficiency")
+"""What can catch a mutant: `check_technique` and `check_move`; "law", that a target's exact draws and exact values
+agree (a wrong technique's do not); the tests of `verify` by kind; "motion", that it moves, stays where the law is and
+forgets a bad start; "efficiency", `verify.efficiency` against the right kernel, for what changes the variance only."""
 
 
 @dataclass(frozen=True)

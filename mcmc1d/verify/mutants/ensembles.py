@@ -135,6 +135,7 @@ def exchange(*, mistake: str = "") -> JaxKernel:
 
 
 _FOUR, _TWO = _ensemble(4), _exchange_law()
+_COSTLY = {"gap": 0.02}  # a sixteenth of the replicas
 
 MUTANTS = {
     "snooker_direction": Mutant(
@@ -151,15 +152,16 @@ MUTANTS = {
         "planted; as in dfm/emcee #531, whose exponent is (n - 1)/2",
         layer="marginal",
         law=_FOUR,
+        options=_COSTLY,
         right=stretch(4),
     ),
     "walkers_all_at_once": Mutant(
-        stretch(4, mistake="all at once"),
+        stretch(3, mistake="all at once"),
         "walkers updated against walkers that move in the same update, themselves included",
         "Foreman-Mackey et al. 2013, section 3, on why the ensemble is split in two",
         layer="density",
-        law=_FOUR,
-        right=stretch(4),
+        law=_ensemble(3),
+        right=stretch(3),
     ),
     "walkers_of_the_last_sweep": Mutant(
         stretch(4, mistake="old partners"),
@@ -167,6 +169,7 @@ MUTANTS = {
         "planted; a stale cache as in mlcg #70",
         layer="density",
         law=_FOUR,
+        options=_COSTLY,
         right=stretch(4),
     ),
     "swap_transposed": Mutant(
@@ -196,7 +199,7 @@ MUTANTS = {
 }
 
 TRAPS = {
-    "red_blue_stretch": Trap(stretch(6), _ensemble(6), "a red-blue ensemble is not reversible"),
-    "snooker": Trap(snooker(4, mistake=False), _ensemble(4), "walkers move one after another"),
+    "red_blue_stretch": Trap(stretch(6), _ensemble(6), "a red-blue ensemble is not reversible", _COSTLY),
+    "snooker": Trap(snooker(4, mistake=False), _ensemble(4), "walkers move one after another", _COSTLY),
     "replica_exchange": Trap(exchange(), _exchange_law(), "two chains trade places"),
 }
