@@ -51,13 +51,10 @@ def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
     caught = np.zeros((len(wrong), len(LAYERS)))
     kills = np.zeros(len(wrong))
     for row, (name, mutant) in enumerate(wrong.items()):
-        beside: set[str] = set()
+        # What else would see a wrong part is looked at once.
+        beside = chain(mutant, seed) if mutant.layer == "contract" else set()
         for k in range(config.seeds):
-            layers = catch(mutant, seed + k)
-            if mutant.layer == "contract":
-                # What else would see it is looked at once.
-                beside = beside or chain(mutant, seed)
-                layers |= beside
+            layers = catch(mutant, seed + k) | beside
             caught[row] += [layer in layers for layer in LAYERS]
             kills[row] += bool(layers)
             progress(f"mutants: {name}", row * config.seeds + k + 1, len(wrong) * config.seeds)
