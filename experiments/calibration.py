@@ -50,7 +50,7 @@ def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
         first[k] = report.p_value
         for column, layer in enumerate(LAYERS):
             # One test of each kind, after one step: the smallest of several would not be uniform.
-            layers[k, column] = next(r.p_value for r in report.results if r.layer == layer and r.steps == 1)
+            layers[k, column] = report.first_stage[f"{layer}: x after 1"]
         progress("p-values", k + 1, config.runs)
     alarms = stages = 0
     for k in range(config.alarms):

@@ -150,7 +150,7 @@ def test_right_kernels_pass_and_wrong_ones_fail(alone):
 
 
 def test_a_failure_shows_the_report_and_how_to_see_it_again(alone):
-    assert "E         its marginal law is wrong: x after" in alone.stdout
+    assert "E         the law of x is wrong after" in alone.stdout
     assert f"pytest 'test_kernels.py::test_wrong' --mcmc1d-seed=7 --mcmc1d-level={1e-4 / USING!r}" in alone.stdout
     assert "pytest_plugin.py" not in alone.stdout
 

@@ -1,5 +1,6 @@
 """Whatever kernel a user has, under test: this library's, BlackJAX's, NumPyro's, emcee's; none need be installed."""
 
+import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -24,19 +25,25 @@ def as_subject(
     require(
         not isinstance(kernel, type), f"give an instance, not the class: {getattr(kernel, '__name__', kernel)}(...)"
     )
+    require(reversible in (None, True, False), f"reversible is True, False or None, not {reversible!r}")
+    foreign = deposits is not None or max_weight != 1
     if isinstance(kernel, Kernel | Move):
         require(
             isinstance(target, Multiplexed),
             f"a move of this library is verified on a mcmc1d.Multiplexed target, not on {type(target).__name__}",
         )
+        require(not foreign, "a kernel of this library brings its own deposits: leave out deposits= and max_weight=")
         return LibrarySubject(Metropolis(kernel) if isinstance(kernel, Move) else kernel, target, reversible)
     subject = _foreign(kernel, law)
     if isinstance(subject, JaxKernel):
         subject = replace(subject, deposits=subject.deposits if deposits is None else deposits)
         subject = JaxSubject(subject, max_weight)
     elif isinstance(subject, HostKernel):
-        require(deposits is None, "deposits are tested of JAX kernels only; a HostKernel has none")
+        require(not foreign, "deposits are tested of JAX kernels only; a HostKernel has none")
         subject = HostSubject(subject)
+    else:
+        require(not foreign, f"deposits are tested of JAX kernels only; {subject.name} has none")
+        subject = copy.copy(subject)  # what is declared here is not the caller's
     if reversible is not None:
         subject.reversible = reversible
     return subject
@@ -128,14 +135,17 @@ class EnsembleSubject(Subject):
 
     def check(self, start: Position) -> None:
         require(
+            len(start) >= self.walkers, f"{len(start)} replicas are no ensemble of {self.walkers}; give more replicas="
+        )
+        require(
             hasattr(start, "ndim") and start.ndim <= 2,
             "an emcee move samples points of shape (d,); the law's positions are a tree of several arrays",
         )
         next(self.watch([0], 0, start[: self.walkers], (1,)))
 
-    def crowd(self, bad: Position, unlikely: Position, n: int) -> Position:
+    def crowd(self, points: Position, unlikely: Position, n: int) -> list[Position]:
         # At one point an ensemble could never move: it starts at its least likely draws.
-        return np.resize(np.asarray(unlikely)[: self.walkers], (n, *np.shape(unlikely)[1:]))
+        return [np.resize(np.asarray(unlikely)[: self.walkers], (n, *np.shape(unlikely)[1:]))]
 
     def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
         from emcee import State

@@ -13,7 +13,6 @@ import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.goodness import (
-    cdf_gap,
     cells_p_value,
     dkw_p_value,
     sign_p_value,
@@ -50,6 +49,11 @@ class Test(abc.ABC):
     @abc.abstractmethod
     def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
         """Integer arrays of fixed shapes."""
+
+    @property
+    def resolution(self) -> float:
+        """The largest probability between two points at which a CDF is looked at: what happens within is not seen."""
+        return 0.0
 
     @abc.abstractmethod
     def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
@@ -114,21 +118,26 @@ class OneSample(Test):
     def _ordered(self) -> bool:
         return isinstance(self.statistic, Continuous) or self.statistic.ordered
 
+    @property
+    def resolution(self) -> float:
+        if isinstance(self.statistic, Continuous):
+            return 1 / FINE
+        return float(self.masses.max()) if self.statistic.cut else 0.0
+
     def gap(self, n: int, level: float, miss: float) -> float | None:
         if not self._ordered:
             return None
-        return self.max_weight * smallest_gap(n, level, miss) + (
-            1 / FINE if isinstance(self.statistic, Continuous) else 0
-        )
+        own = 1 / FINE if isinstance(self.statistic, Continuous) else 0
+        return self.max_weight * smallest_gap(n, level, miss) + own
 
     def measured_gap(self, counts: tuple[np.ndarray, ...]) -> float:
-        """The gap of the two CDFs."""
-        return cdf_gap(counts[0][:-1], self.masses)
+        """The gap of the two CDFs, what lies in no cell above them all; of unordered cells, the largest difference."""
+        difference = counts[0][:-1] / counts[0].sum() - self.masses
+        return float(np.abs(np.cumsum(difference) if self._ordered else difference).max())
 
     def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
-        inside, outside = counts[0][:-1], int(counts[0][-1])
-        found, expected = (pool(part, POOLED, self.deposits) for part in (inside, self.masses))
-        n = counts[0].sum()
+        outside, n = int(counts[0][-1]), counts[0].sum()
+        found, expected = self._shown(counts)
         said = [f"{outside} of {n} in no cell of the law"] if outside else []
         deviation = np.sqrt(np.maximum(n * expected * (1 - expected), 1e-300))
         z = np.where(found == n * expected, 0.0, (found - n * expected) / deviation)
@@ -146,13 +155,22 @@ class OneSample(Test):
             ends = self.places
             return f"{self.name} in [{ends[k]:.4g}, {ends[k + 1]:.4g}]"
         labels = self.statistic.labels if isinstance(self.statistic, Discrete) else ()
-        step = max(1, len(labels) // (cells - self.deposits)) if labels else 1
-        return labels[k * step] if labels else f"{self.name}, cell {k}"
+        if not labels:
+            return f"{self.name}, cell {k}"
+        first = k * max(1, len(labels) // POOLED) if self._ordered else k
+        last = min(first + max(1, len(labels) // POOLED) if self._ordered else first + 1, len(labels)) - 1
+        return labels[first] if first == last else f"{labels[first]} to {labels[last]}"
+
+    def _shown(self, counts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Counts and masses of the cells that are told apart in reports: neighbours pooled, where there are any."""
+        inside = counts[0][:-1]
+        if not self._ordered:
+            return inside, self.masses
+        return pool(inside, POOLED, self.deposits), pool(self.masses, POOLED, self.deposits)
 
     def residuals(self, counts: tuple[np.ndarray, ...]) -> np.ndarray:
         """(observed - expected) / standard deviation by pooled cell."""
-        found, expected = (pool(part, POOLED, self.deposits) for part in (counts[0][:-1], self.masses))
-        n = counts[0].sum()
+        (found, expected), n = self._shown(counts), counts[0].sum()
         return (found - n * expected) / np.sqrt(np.maximum(n * expected * (1 - expected), 1e-12))
 
     def curve(self, counts: tuple[np.ndarray, ...]) -> np.ndarray | None:
@@ -200,6 +218,15 @@ class TwoSample(Test):
 
     def _cell(self, where: Position) -> np.ndarray:
         return np.searchsorted(self.ends, np.asarray(self.value(where), np.float64), side="right")
+
+    @property
+    def resolution(self) -> float:
+        return 1 / (len(self.ends) + 1) if self.ordered else 0.0
+
+    def measured_gap(self, counts: tuple[np.ndarray, ...], n: int) -> float:
+        """The largest difference at a cut or in a cell."""
+        more, less = counts
+        return float(np.abs(more - less).max() / n)
 
     def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
         return sign_p_value(*counts)

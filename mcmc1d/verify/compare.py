@@ -110,12 +110,14 @@ def compare(
     among: np.ndarray | None = None,
     describe: Callable[[int], str] | None = None,
     note: str = "",
+    anew: Callable[[np.ndarray, np.ndarray], Any] | None = None,
 ) -> Check:
     """Hold `side(values, rows)` to `expected` at the regular points (of those `among`).
 
     `side` is vectorised over points and is called with one number of them, so that it compiles once; `rows` says
     which of the points each was made from. Where it misses, it is tried at neighbours within the tolerance, and the
-    best of them is taken.
+    best of them is taken; `anew` makes what is expected of the neighbour itself, for an equation both of whose sides
+    jump there (a chosen number that rounds across an end of its interval).
     """
     look = points.regular if among is None else points.regular & among
     count = int(look.sum())
@@ -126,7 +128,10 @@ def compare(
     missed = np.flatnonzero(error > np.where(look, points.tolerance, np.inf))
     if 0 < len(missed) <= len(look) // 4:
         for moved, which in _neighbours(points, missed):
-            there = distance(side(moved, which), jax.tree.map(lambda e, which=which: np.asarray(e)[which], expected))
+            left = side(moved, which)
+            there = distance(left, jax.tree.map(lambda e, which=which: np.asarray(e)[which], expected))
+            if anew is not None:
+                there = np.minimum(there, distance(left, anew(moved, which)))
             np.minimum.at(error, which, there)
     ratio = np.where(look, error / np.where(look, points.tolerance, 1), -1)  # the worst is a point that was looked at
     worst = int(np.argmax(ratio))

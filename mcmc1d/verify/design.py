@@ -11,7 +11,7 @@ import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import POOLED, Exchangeable, OneSample, Test, TwoSample, coordinates
-from mcmc1d.verify.law import Continuous, Discrete, Law, Position
+from mcmc1d.verify.law import Bins, Continuous, Law, Position
 from mcmc1d.verify.subject import Look
 
 _CUTS = 64
@@ -29,9 +29,9 @@ def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None
     columns = coordinates(draws)
     scalar = len(columns) == 1
     if law.cdf is not None:
-        known |= _marginals(law, columns)
+        known |= _marginals(law, draws, columns)
     elif law.bins is not None:
-        known |= {"x": _binned(law)}
+        known |= {"x": Bins(*(np.asarray(part, np.float64) for part in law.bins)).statistic()}
     tests: list[Test] = []
     for name, statistic in known.items():
         ordered = isinstance(statistic, Continuous) or statistic.ordered
@@ -44,15 +44,15 @@ def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None
         column = _Column(name)
         ends = _quantiles(values, _CUTS)
         if name not in known and len(ends):
-            tests.append(TwoSample(name, column, ends))
+            tests.append(TwoSample(name, column, ends, ordered=bool(np.ptp(values) > 0)))
             if deposits is not None and name in coordinates(deposits.picked.points):  # pyright: ignore
                 tests.append(TwoSample(name, column, ends, "deposits", deposits=True, max_weight=max_weight))
         ends = _quantiles(values, _PAIRS)
-        if reversible and len(ends):
+        if reversible and np.ptp(values) > 0:
             tests.append(Exchangeable(name, column, ends, 1e-4 * float(np.ptp(np.quantile(values, [0.05, 0.95])))))
-    main = [name for name in columns if name != "u" and not name.startswith("u[")]
-    if len(main) > 1 and not any(isinstance(s, Discrete) and not s.ordered for s in known.values()):
-        for group in _groups(main):
+    main = [name for name, values in columns.items() if np.ptp(values) > 0 and not auxiliary(name)]
+    if len(main) > 1:
+        for group in (group for group in _groups(main) if ", ".join(group) not in known):
             inner = tuple((name, _quantiles(columns[name], _JOINT[len(group)])) for name in group)
             joint = _Joint(inner)
             ends = np.arange(1, joint.cells) - 0.5
@@ -63,6 +63,11 @@ def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None
         if len(ends):
             tests.append(TwoSample("log density", energy, ends, "density"))
     return tests
+
+
+def auxiliary(name: str) -> bool:
+    """Whether a coordinate is of a chain's primary sample, which goes with what is sampled."""
+    return name == "u" or name.startswith("u[")
 
 
 @dataclass(frozen=True)
@@ -104,13 +109,12 @@ class _Energy:
         return np.asarray(self.batch(where))
 
 
-def _marginals(law: Law, columns: Mapping[str, np.ndarray]) -> dict[str, Continuous]:
+def _marginals(law: Law, draws: Position, columns: Mapping[str, np.ndarray]) -> dict[str, Continuous]:
     cdf = law.cdf
     assert cdf is not None
-    if len(columns) == 1:
-        # A law on the line, whether its positions are (n,) or (n, 1).
+    if len(columns) == 1 and np.ndim(jax.tree.leaves(draws)[0]) == 1:
         (name,) = columns
-        return {name: Continuous(_Column(name), lambda x: np.ravel(cdf(x)))}
+        return {name: Continuous(_Column(name), cdf)}
     table = _Table(law)
     return {name: _Marginal(_Column(name), cdf, table, k) for k, name in enumerate(columns)}
 
@@ -126,7 +130,7 @@ class _Table:
             points = np.asarray(where, np.float64)
             out = np.asarray(self.law.cdf(points), np.float64)  # pyright: ignore[reportOptionalCall]
             require(
-                out.shape == points.shape,
+                out.shape == points.shape or out.size == points.size == len(points),
                 f"{self.law.name}: cdf must return all marginal CDFs, shape {points.shape}, not {out.shape}",
             )
             self.last.where, self.last.table = where, out.reshape(len(points), -1)
@@ -144,19 +148,6 @@ class _Marginal(Continuous):
         return self.table(where)[:, self.column]
 
 
-def _binned(law: Law) -> Discrete:
-    assert law.bins is not None
-    edges, masses = (np.asarray(part, np.float64) for part in law.bins)
-
-    def cell(x: Position) -> np.ndarray:
-        (values,) = coordinates(x).values()
-        k = np.searchsorted(edges, values, side="right") - 1
-        return np.where(values == edges[-1], len(masses) - 1, np.where(k < len(masses), k, -1))
-
-    labels = tuple(f"x in [{a:.4g}, {b:.4g}]" for a, b in itertools.pairwise(edges))
-    return Discrete(cell, masses / masses.sum(), labels, ordered=True)
-
-
 def _places(statistic: Continuous, draws: Position) -> np.ndarray:
     """The statistic's values at the ends of the pooled cells, as near as the draws tell."""
     return np.quantile(np.asarray(statistic.value(draws), np.float64), np.linspace(0, 1, POOLED + 1))
@@ -166,6 +157,8 @@ def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
     """Inner ends of about equally probable cells; of discrete values, halfway between the ones that occur."""
     values = np.asarray(values, np.float64)
     different = np.unique(values)
+    if len(different) == 1:  # what the law never changes, a kernel must not
+        return np.array([np.nextafter(different[0], -np.inf), np.nextafter(different[0], np.inf)])
     if len(different) <= cells:
         return (different[1:] + different[:-1]) / 2
     ends = np.unique(np.quantile(values, np.arange(1, cells) / cells))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mcmc1d.metropolis import Cycle
 from mcmc1d.verify.goodness import sign_p_value
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.library import LibrarySubject
@@ -15,19 +16,23 @@ def diagnose(subject: LibrarySubject, seed: Sequence[int], start: Position) -> l
     """For each kind of move, the pair of (technique, x) cells whose flows in one step differ most.
 
     Stationary chains of a reversible move go from a to b as often as from b to a. The p-values are exact, and no part
-    of the verdict.
+    of the verdict. The kernels of a cycle are looked at one by one, each from the exact draws.
     """
+    kernel = subject.kernel
+    if isinstance(kernel, Cycle):
+        parts = [LibrarySubject(part, subject.target, None) for part in kernel.kernels]
+        return [line for k, part in enumerate(parts) for line in diagnose(part, (*seed, k), start)]
     after, kind = subject.kinds(seed, 0, start)
-    a, b, label = _cells(subject, start, after)
-    cells, lines = a.max(initial=0) + 1 if len(a) == 0 else int(max(a.max(), b.max())) + 1, []
-    for k, name in enumerate(subject.kernel.kinds):
+    a, b, label = _cells(start, after)
+    cells, lines = int(max(a.max(), b.max())) + 1, []
+    for k, name in enumerate(kernel.kinds):
         own = kind == k
-        flow = np.bincount(a[own] * cells + b[own], minlength=cells * cells).reshape(cells, cells)
-        upper = np.triu_indices(cells, 1)
-        p = sign_p_value(flow[upper], flow.T[upper])
         if not own.any():
             lines.append(f"move {name}: never proposed")
             continue
+        flow = np.bincount(a[own] * cells + b[own], minlength=cells * cells).reshape(cells, cells)
+        upper = np.triu_indices(cells, 1)
+        p = sign_p_value(flow[upper], flow.T[upper])
         z = (flow - flow.T) / np.sqrt(np.maximum(flow + flow.T, 1))
         i, j = np.unravel_index(np.argmax(np.triu(np.abs(z), 1)), z.shape)
         verdict = "breaks detailed balance" if p < 1e-6 else "no violation seen"
@@ -36,7 +41,7 @@ def diagnose(subject: LibrarySubject, seed: Sequence[int], start: Position) -> l
     return lines
 
 
-def _cells(subject: LibrarySubject, start: Position, after: Position):
+def _cells(start: Position, after: Position):
     """Cells of (technique, x), or of the first coordinate of x, before and after one step, and their names."""
     first, last = (np.asarray(p["x"]).reshape(len(p["index"]), -1)[:, 0] for p in (start, after))
     ends = np.unique(np.quantile(first, np.arange(1, _CELLS) / _CELLS))

@@ -20,6 +20,8 @@ ATOM_WIDTH = 5e-7
 COARSE = 10
 """Intervals of the first coordinate between which the flux of each kind of move is kept."""
 
+_LOST = 2e-3  # of the flux: what may go to cells that hold too little mass for a point of the net
+
 _BATCH = 2**17
 
 
@@ -133,6 +135,13 @@ def measure(
 def _gather(cells: Cells, sums: list[_Sums], kinds: tuple[str, ...]) -> Flux:
     """The used cells alone, and everything relative to the target's mass."""
     reached: Matrix = sum((s.matrix for s in sums[1:]), sums[0].matrix)
+    starts = np.diff(reached.indptr) > 0
+    lost = float(reached.sum() - reached[:, np.flatnonzero(starts)].sum()) / float(reached.sum())
+    require(
+        lost < _LOST,
+        f"the kernel sends {lost:.2g} of its mass in a step to where the target's density is zero; there nothing "
+        "starts, and the law that it would have can not be told",
+    )
     used = np.flatnonzero((np.diff(reached.indptr) > 0) | (np.asarray(reached.sum(0)).ravel() > 0))
     place, x, weight = (np.concatenate(parts) for parts in zip(*sums[0].kept, strict=True))
     # Every cell has one point at least, of a weight that does not matter where there are others.

@@ -68,12 +68,6 @@ def smallest_two_sample_gap(n: int, level: float, cuts: int, miss: float = 0.01)
     return float((-ndtri(level / (2 * cuts)) - ndtri(miss)) / np.sqrt(2 * n))
 
 
-def replicas_for(gap: float, level: float, miss: float = 0.01) -> int:
-    """The least n for which `smallest_gap` is at most `gap`."""
-    require(0 < gap < 1, f"a gap of two CDFs lies between 0 and 1, not at {gap}")
-    return int(np.ceil((smallest_gap(1, level, miss) / gap) ** 2))
-
-
 def total_variation(p: np.ndarray, q: np.ndarray) -> float:
     """Half the sum of the absolute differences of two laws on bins."""
     return float(np.abs(p - q).sum() / 2)

@@ -80,10 +80,11 @@ class JaxSubject(Subject):
         try:
             state = eqx.filter_eval_shape(self.kernel.begin, key, one)
             out = eqx.filter_eval_shape(self.kernel.step, key, state)
-        except _UNTRACEABLE as error:
+        except (*_UNTRACEABLE, TypeError, AttributeError) as error:
             raise ValueError(
-                f"{self.name} can not be traced by JAX ({type(error).__name__}); write it with jax.numpy and "
-                "jnp.where, or, if it is NumPy, hand it over as verify.HostKernel(step), step(rng, positions)"
+                f"{self.name} can not be traced by JAX as step(key, position) of one chain ({type(error).__name__}: "
+                f"{str(error).splitlines()[0]}); write it with jax.numpy and jnp.where, or, if it is NumPy, hand it "
+                "over as verify.HostKernel(step), step(rng, positions)"
             ) from error
         self.returns_info = not _alike(out, state)
         after = out[0] if self.returns_info and isinstance(out, tuple) and len(out) == 2 else out
@@ -97,6 +98,18 @@ class JaxSubject(Subject):
             _alike(here, one),
             f"{self.name}: the position read back is {_shapes(here)}, and the law's positions are {_shapes(one)}",
         )
+        if self.kernel.deposits is not None:
+            self._check_deposits(self.kernel.deposits, after, out[1] if self.returns_info else None)
+
+    def _check_deposits(self, deposits: Callable, state: Any, info: Any) -> None:
+        wanted = f"{self.name}: deposits(state, info) must return (points, weights) of shapes (D, ...) and (D,)"
+        try:
+            points, weights = eqx.filter_eval_shape(deposits, state, info)
+            count = weights.shape
+            leading = {leaf.shape[:1] for leaf in jax.tree.leaves(points)}
+        except (TypeError, AttributeError, ValueError) as error:
+            raise ValueError(f"{wanted}; it failed: {str(error).splitlines()[0]}") from error
+        require(len(count) == 1 and leading == {count}, f"{wanted}, not {_shapes(points)} and {_shapes(weights)}")
 
     def prepare(self, start: Position) -> Position:
         return jax.tree.map(_to_default, start)

@@ -44,6 +44,8 @@ class Discrete:
     """Names of the cells for reports; numbers unless given."""
     ordered: bool = False
     """Whether the cells follow each other on the line, so that a CDF over them means something."""
+    cut: bool = False
+    """Whether the cells are intervals of a continuous value: what goes on inside of one is then not seen."""
 
 
 Statistic: TypeAlias = Continuous | Discrete
@@ -102,7 +104,9 @@ def as_law(target: Any) -> Law:
         return multiplexed_law(target)
     if callable(getattr(target, "rvs", None)) and callable(getattr(target, "cdf", None)):
         require(
-            hasattr(target, "dist"), f"freeze the scipy distribution: scipy.stats.{getattr(target, 'name', '')}(...)"
+            hasattr(target, "dist") and hasattr(target, "support"),
+            f"{type(target).__name__} is no frozen distribution on the line: freeze it with its parameters, "
+            "scipy.stats.norm(0, 1), or give a verify.Law(sample=, cdf=) with the marginal CDFs",
         )
         return _scipy_law(target)
     names = ("cdf", "bins", "statistics", "log_density", "support", "bad_start", "name")
@@ -123,8 +127,10 @@ def _scipy_law(distribution: Any) -> Law:
     if hasattr(distribution, "pmf"):
         first, last = (int(end) for end in distribution.ppf([1e-12, 1 - 1e-12]))
         masses = distribution.pmf(np.arange(first, last + 1))
+        # Both tails belong to the end cells: rare values are none that can not be.
+        masses[0], masses[-1] = distribution.cdf(first), distribution.sf(last - 1)
         cells = Discrete(
-            lambda x: np.where((x >= first) & (x <= last), x - first, -1).astype(np.int64),
+            lambda x: np.clip(x - first, 0, last - first).astype(np.int64),
             masses / masses.sum(),
             tuple(str(k) for k in range(first, last + 1)),
             ordered=True,
@@ -160,10 +166,12 @@ def multiplexed_law(target: Multiplexed) -> Law:
     statistics: dict[str, Statistic] = {}
     if np.ndim(lower) == 0:
         bins = np.linspace(lower, upper, _BINS + 1)
-        statistics["x"] = _Bins(bins, target.target.bin_masses(bins)).statistic()
+        statistics["x"] = Bins(bins, target.target.bin_masses(bins)).statistic()
         if target.n_techniques > 1:
             bins = np.linspace(lower, upper, _JOINT_BINS + 1)
-            statistics["index, x"] = _Bins(bins, target.joint_masses(bins)).statistic()
+            joint = target.joint_masses(bins)
+            statistics["index, x"] = Bins(bins, joint).statistic()
+            statistics["index"] = Discrete(lambda where: where["index"], joint.sum(1), ordered=True)
     return Law(sample=sample, statistics=statistics, name=type(target.target).__name__)
 
 
@@ -179,7 +187,7 @@ def _evaluate(target: Multiplexed, state: State) -> State:
 
 
 @dataclass(frozen=True)
-class _Bins:
+class Bins:
     """The exact masses of bins of x, (bins,), or of (technique, x), (techniques, bins)."""
 
     edges: np.ndarray
@@ -190,25 +198,30 @@ class _Bins:
         spans = [f"x in [{a:.4g}, {b:.4g}]" for a, b in zip(self.edges[:-1], self.edges[1:], strict=True)]
         joint = self.masses.ndim == 2
         labels = [f"technique {i}, {span}" for i in range(len(self.masses)) for span in spans] if joint else spans
-        return Discrete(self.cell, self.masses.ravel() / self.masses.sum(), tuple(labels), ordered=not joint)
+        masses = self.masses.ravel() / self.masses.sum()
+        return Discrete(self.cell, masses, tuple(labels), ordered=not joint, cut=True)
 
     def cell(self, where: Position) -> np.ndarray:
         """The cell of each state; -1 outside of all bins.
 
         A sample that rounds across an edge into a bin of probability zero is counted on the side that it comes from.
         """
-        x = np.asarray(where["x"], np.float64)
-        rows = np.asarray(where["index"]) if self.masses.ndim == 2 else np.zeros(len(x), np.int64)
+        joint = self.masses.ndim == 2
+        x = np.asarray(where["x"] if isinstance(where, dict) else where, np.float64).reshape(-1)
         masses = np.atleast_2d(self.masses)
+        rows = np.asarray(where["index"]) if joint else np.zeros(len(x), np.int64)
+        known = (rows >= 0) & (rows < len(masses))
+        rows = np.where(known, rows, 0)
         bins = masses.shape[1]
         cell = np.searchsorted(self.edges, x, side="right") - 1
+        cell = np.where(x == self.edges[-1], bins - 1, cell)
         empty = (cell < 0) | (cell >= bins) | (masses[rows, np.clip(cell, 0, bins - 1)] == 0)
         for side in (-1, 1):
             near = np.searchsorted(self.edges, x[empty] + side * _ROUNDING * (1 + np.abs(x[empty])), side="right") - 1
             lit = (near >= 0) & (near < bins)
             lit[lit] = masses[rows[empty][lit], near[lit]] > 0
             cell[np.flatnonzero(empty)[lit]] = near[lit]
-        return np.where((cell >= 0) & (cell < bins), rows * bins + cell, -1)
+        return np.where(known & (cell >= 0) & (cell < bins), rows * bins + cell, -1)
 
 
 _ROUNDING = 5e-7  # four times float32's: what a few operations near an edge may be off by

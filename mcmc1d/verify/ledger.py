@@ -65,6 +65,9 @@ class Ledger:
     """How many verifications there will be; asking for more shares is an error."""
     spent: dict[str, float] = field(default_factory=dict)
 
+    def __post_init__(self):
+        require(0 < self.total < 0.5, f"a ledger's total is a level between 0 and 0.5, not {self.total}")
+
     def share(self, name: str) -> float:
         """The level of the verification of this name; a name asks once."""
         require(

@@ -110,9 +110,30 @@ class _Contract:
         checks = [
             self._alive(out, possible & points.regular, index[:count], uw[:count]),
             self._looked_at(out, possible & points.regular, uw[:count]),
-            compare(twice, points, lambda p, rows: _back(at(p, rows)), (index, uw), *both),
-            compare(determinant, points, lambda p, rows: at(p, rows).log_det, log_abs_det(out.jacobian), *both),
-            compare(back, points, lambda p, rows: at(p, rows).log_det_back, -out.log_det, *both),
+            compare(
+                twice,
+                points,
+                lambda p, rows: _back(at(p, rows)),
+                (index, uw),
+                *both,
+                anew=lambda p, rows: (index[rows], p),
+            ),
+            compare(
+                determinant,
+                points,
+                lambda p, rows: at(p, rows).log_det,
+                log_abs_det(out.jacobian),
+                *both,
+                anew=lambda p, rows: log_abs_det(at(p, rows).jacobian),
+            ),
+            compare(
+                back,
+                points,
+                lambda p, rows: at(p, rows).log_det_back,
+                -out.log_det,
+                *both,
+                anew=lambda p, rows: -at(p, rows).log_det,
+            ),
             self._impossible(out, ~inside | np.isnan(out.log_det) | np.isneginf(out.log_det), uw),
         ]
         if out.kept is not None:

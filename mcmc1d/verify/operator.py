@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.special import gammaln
 
-from mcmc1d.metropolis import Kernel, Metropolis
+from mcmc1d.checks import require_instance
+from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
@@ -116,7 +118,7 @@ class Operator:
         each = np.stack([law(flux, fine) for flux in self.flux.scrambles])
         here = law(self.mean_flux, fine)
         masses = (4 * here - law(self.mean_flux, coarse)) / 3
-        error = each.std(0, ddof=1) / np.sqrt(len(each))
+        error = each.std(0, ddof=1) / _c4(len(each)) / np.sqrt(len(each))
         # The mean absolute deviation of a normal number of each standard error.
         noise = float(error.sum() * np.sqrt(2 / np.pi) / 2)
         return Law(masses, error, noise, float(np.abs(masses - here).sum() / 2))
@@ -140,7 +142,7 @@ class Operator:
     def _noise(self, squares: np.ndarray) -> float:
         """Half the expected sum of absolute means, from sums of squared deviations over the scrambles."""
         r = len(self.flux.scrambles)
-        return float(np.sqrt(squares / (r - 1) / r).sum() * np.sqrt(2 / np.pi) / 2)
+        return float(np.sqrt(squares / (r - 1) / r).sum() / _c4(r) * np.sqrt(2 / np.pi) / 2)
 
     def spectral_gap(self) -> float:
         """1 - |lambda_2|, of P: the rate at which what is left of the start decays."""
@@ -193,6 +195,11 @@ class Operator:
         return sp.coo_matrix((weight, (cell, index * bins + place)), shape=(n, self.flux.cells.n_index * bins)).tocsr()
 
 
+def _c4(n: int) -> float:
+    """By how much the sample standard deviation of n normal numbers falls short of theirs, in expectation."""
+    return float(np.sqrt(2 / (n - 1)) * np.exp(gammaln(n / 2) - gammaln((n - 1) / 2)))
+
+
 def transition_operator(
     kernel: Kernel | Move,
     target: Multiplexed,
@@ -213,7 +220,8 @@ def transition_operator(
 
     Raises `ValueError` for more than three u, and where the kernel does not fit the target.
     """
-    kernel = Metropolis(kernel) if isinstance(kernel, Move) else kernel
+    kernel = as_kernel(kernel, "transition_operator: the kernel")
+    require_instance(target, Multiplexed, "transition_operator: the target")
     kernel.check(target)
     m = target.dim_u
     require(1 <= m <= 3, f"transition_operator: u has {m} coordinates; cells are made of three at most")

@@ -72,12 +72,22 @@ class Report:
     moved: float
     """The share of replicas that were elsewhere when looked at."""
     forgotten: int | None
-    """After how many steps from one bad point the law had been reached; None where it was not, or not asked."""
+    """After how many steps from some bad points the law had been reached; None where it was not, or not asked."""
+    forgotten_within: float
+    """How near, as a CDF gap."""
+    resolution: float
+    """The largest probability between two points at which a coordinate's CDF was looked at: within is not seen."""
+    reversible: bool
+    """Whether the kernel was held to detailed balance."""
     seed: int
     seconds: float
     steps: tuple[int, ...]
     tests: int
     """Among how many tests the level is shared."""
+    deciding_replicas: int
+    """Those that `results` rest on."""
+    first_stage: dict[str, float] = field(default_factory=dict)
+    """The first stage's p-values by "layer: name after k"; each test's own."""
     results: list[Result] = field(default_factory=list)
     diagnosis: list[str] = field(default_factory=list)
     """For a move of this library that fails: which kind of move, between which states."""
@@ -89,11 +99,6 @@ class Report:
 
     def __bool__(self) -> bool:
         return self.passed
-
-    @property
-    def first_stage(self) -> dict[str, float]:
-        """The deciding stage's p-values by "layer: name after k steps"."""
-        return {f"{r.layer}: {r.name} after {r.steps}": r.p_value for r in self.results}
 
     @property
     def failures(self) -> list[Result]:
@@ -118,19 +123,29 @@ class Report:
         if len(self.failures) > 4:
             lines.append(f"  and {len(self.failures) - 4} more of {len(self.results)} tests")
         lines += [f"  {line}" for line in self.diagnosis]
+        lines += [f"  {line}" for line in self._small_print()]
+        return "\n".join(lines)
+
+    def _small_print(self) -> list[str]:
+        """What the verdict is worth, and how to get it again."""
         gap = f"a CDF gap of {self.gap:.2g}" if np.isfinite(self.gap) else "no CDF gap (no statistic is ordered)"
-        lines += [
-            f"  detects    {gap} in the law after any of {', '.join(map(str, self.steps))} steps, "
+        if self.resolution > 1e-3:
+            gap += f", looked at every {self.resolution:.2g} of probability,"
+        forgotten = f"; bad starts forgotten in {self.forgotten} steps, to {self.forgotten_within:.2g}"
+        forgotten = forgotten if self.forgotten else ""
+        lines = [
+            f"detects    {gap} in the law after any of {', '.join(map(str, self.steps))} steps, "
             f"with probability {self.power:g}",
-            f"  level      {self.level:.1e}, shared by {self.tests} tests; first-stage p = {self.p_value:.2g}, "
-            f"{_count(self.stages, 'stage')}",
-            f"  replicas   {self.replicas:,} exact starts; {self.moved:.1%} moved; "
-            + (f"a bad start forgotten in {self.forgotten}" if self.forgotten else "no bad start forgotten"),
-            f"  again      seed={self.seed}, replicas={self.first_replicas}"
+            f"level      {self.level:.1e}, shared by {self.tests} tests; first-stage p = {self.p_value:.2g} by the "
+            f"union bound, {_count(self.stages, 'stage')}",
+            f"replicas   {self.replicas:,} exact starts; {self.moved:.1%} moved{forgotten}",
+            f"again      seed={self.seed}, replicas={self.first_replicas}"
             + (f", name={self.name!r}" if self.name != f"{self.kernel} on {self.law}" else "")
             + f"; took {self.seconds:.1f} s",
         ]
-        return "\n".join(lines)
+        if self.passed and not self.reversible:
+            lines.insert(1, "untested   detailed balance: reversible=True declares it, and sees much smaller mistakes")
+        return lines
 
     def to_json(self) -> str:
         """A certificate: everything above, with the versions of what was used."""
@@ -161,7 +176,7 @@ class Report:
         left.set_yticks(np.arange(len(maps)) + 0.5, [f"{r.name}, {r.steps}" for r in maps], fontsize=6)
         left.set(xlabel="cells in order, from the first to the last", title="residual by cell (s.d.)")
         figure.colorbar(shown, ax=left, fraction=0.05)
-        band = float(np.sqrt(np.log(4 / self.threshold) / (2 * self.first_replicas)))
+        band = float(np.sqrt(np.log(4 / self.threshold) / (2 * max(self.deciding_replicas, 1))))
         right.axhspan(-band, band, color="0.9", label=f"band at {self.threshold:.0e}")
         last = max((r.steps for r in curves), default=0)
         shades = plt.get_cmap("viridis")(np.linspace(0, 0.85, max(len(curves), 1)))

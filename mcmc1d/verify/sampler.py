@@ -17,7 +17,7 @@ from mcmc1d.verify.law import Law, Position
 from mcmc1d.verify.subject import Look, Subject
 
 _CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
-_PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis")
+_PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis", "one step")
 
 
 @dataclass
@@ -62,9 +62,18 @@ class Sampler:
     def draw(self, purpose: str, stage: int, chunk: int, n: int) -> Position:
         """`n` exact draws, in the kernel's precision."""
         rng = np.random.default_rng(self.words(purpose, stage, chunk))
-        drawn = self.law.sample(rng, n)
+        try:
+            drawn = self.law.sample(rng, n)
+        except (TypeError, AttributeError) as error:
+            raise ValueError(
+                f"{self.law.name}: sample(rng, n) failed ({error}); it is given a numpy.random.Generator and a number"
+            ) from error
         lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(drawn)}
-        require(lengths == {(n,)}, f"{self.law.name}: sample(rng, {n}) must return {n} positions, not {lengths}")
+        require(
+            lengths == {(n,)},
+            f"{self.law.name}: sample(rng, {n}) must return {n} positions along the leading axis; it returned "
+            + ", ".join(str(length[0]) if length else "a single number" for length in lengths),
+        )
         finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(drawn) if np.asarray(leaf).dtype.kind == "f")
         require(finite, f"{self.law.name}: sample returned NaN or an infinity")
         return self.subject.prepare(jax.tree.map(np.asarray, drawn))
@@ -173,6 +182,10 @@ def inside(law: Law, where: Position) -> np.ndarray:
     if callable(law.support):
         return np.asarray(law.support(where), bool)
     lower, upper = law.support
+    require(
+        not isinstance(where, dict | tuple | list),
+        f"{law.name}: support=(lower, upper) is for positions that are one array; give a function of n positions",
+    )
     x = np.asarray(where, np.float64).reshape(n, -1)
     slack = 1e-6 * np.maximum(1, np.abs(x))
     return np.all((x >= np.ravel(lower) - slack) & (x <= np.ravel(upper) + slack), axis=1)

@@ -75,9 +75,10 @@ class Subject(abc.ABC):
         """Exact draws in the precision in which the kernel runs."""
         return start
 
-    def crowd(self, bad: Position, unlikely: Position, n: int) -> Position:
-        """`n` replicas at a bad start; `unlikely` are exact draws, the least likely first."""
-        return jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], n, 0), bad)
+    def crowd(self, points: Position, unlikely: Position, n: int) -> list[Position]:
+        """`n` replicas at each of a few bad points; `unlikely` are exact draws, the least likely first."""
+        count = len(jax.tree.leaves(points)[0])
+        return [jax.tree.map(lambda a, k=k: np.repeat(np.asarray(a)[k : k + 1], n, 0), points) for k in range(count)]
 
 
 def joined(looks: Sequence[Look]) -> Look:
