@@ -53,7 +53,7 @@ class Config:
     level: float = 1e-6
     """Probability that a right integrator is rejected by one test; there are two an integrator."""
     operator_points: int = 2**19
-    """Points of the net that predicts a wrong integrator's law, a technique; eight a replica at the most."""
+    """Points of the net that predicts a wrong integrator's law, a technique."""
     agreement: float = 1e-3
     """Total variation up to which prediction and simulation agree, beyond the simulation's own noise."""
 
@@ -167,7 +167,7 @@ def _measure(
     # What a wrong integrator's law must be, from its transition operator; a right one's is the exact law.
     predicted, noise = np.full(exact.shape, np.nan), np.nan
     if not RIGHT[name]:
-        law = transition_operator(move, target, points=min(config.operator_points, 8 * config.replicas)).law_of(edges)
+        law = transition_operator(move, target, points=config.operator_points).law_of(edges)
         predicted = law.masses
         noise = _noise(long.sums["joint"] * config.blocks / (config.chains * config.steps))
     return xr.Dataset(

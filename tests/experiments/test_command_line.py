@@ -13,7 +13,15 @@ import xarray as xr
 ROOT = Path(__file__).parents[2]
 TINY = [
     f"--set={field}"
-    for field in ("replicas=2048", "replica_steps=4", "chains=1024", "steps=8", "trace_steps=64", "blocks=4")
+    for field in (
+        "replicas=2048",
+        "replica_steps=4",
+        "chains=1024",
+        "steps=8",
+        "trace_steps=64",
+        "blocks=4",
+        "operator_points=262144",
+    )
 ]
 
 
