@@ -170,10 +170,12 @@ def table(data: xr.Dataset) -> Table:
 def judge(data: xr.Dataset) -> list[Claim]:
     """Every mutant is caught, by the layer that must; no trap is."""
     seeds, count = int(data.seeds), data.sizes["mutant"]
-    survivors = [str(m) for m in data.mutant.to_numpy()[data.killed.to_numpy() < 1]]
     required = np.array(
         [float(data.caught.sel(mutant=m, layer=str(data.must.sel(mutant=m).to_numpy()))) for m in data.mutant]
     )
+    # A wrong part is killed by its contract; the chain that it is put into is looked at at one seed.
+    killed = np.where(data.must.to_numpy() == "contract", required, data.killed.to_numpy())
+    survivors = [str(m) for m in data.mutant.to_numpy()[killed < 1]]
     missed = [str(m) for m in data.mutant.to_numpy()[required < 1]]
     failing = [str(t) for t in data.trap.to_numpy()[data.passed.to_numpy() < 1]]
     power = 0.05 ** (1 / seeds)

@@ -140,7 +140,7 @@ def _gather(cells: Cells, sums: list[_Sums], kinds: tuple[str, ...]) -> Flux:
     require(
         lost < _LOST,
         f"the kernel sends {lost:.2g} of its mass in a step to cells where no point of the net starts: raise `points` "
-        "or take fewer cells; if it stays so, the target's density is zero there, and the law it would have is not told",
+        "or take fewer cells; if it stays so, the target's density is zero there, and the law it would have unknown",
     )
     used = np.flatnonzero((np.diff(reached.indptr) > 0) | (np.asarray(reached.sum(0)).ravel() > 0))
     place, x, weight = (np.concatenate(parts) for parts in zip(*sums[0].kept, strict=True))
