@@ -10,6 +10,7 @@ from mcmc1d.verify.kernels import HostKernel, JaxKernel
 from mcmc1d.verify.law import Continuous, Discrete, Law
 from mcmc1d.verify.ledger import Ledger, Scheme
 from mcmc1d.verify.move import check_move, hard_target
+from mcmc1d.verify.net import DepositLaw, deposit_law
 from mcmc1d.verify.operator import Operator, step_operator, transition_operator
 from mcmc1d.verify.report import Report, Result, Verdict, VerificationError
 from mcmc1d.verify.technique import check_technique
@@ -19,6 +20,7 @@ __all__ = [
     "Continuous",
     "ContractError",
     "ContractReport",
+    "DepositLaw",
     "Discrete",
     "Efficiency",
     "Enumeration",
@@ -37,6 +39,7 @@ __all__ = [
     "blackjax",
     "check_move",
     "check_technique",
+    "deposit_law",
     "efficiency",
     "emcee",
     "enumerate_kernel",
