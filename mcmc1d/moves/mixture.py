@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,16 +66,25 @@ class Mixture(Move):
             rests.append(jnp.concatenate([w[:1], proposal.w, w[1 + r :]]))
             evals.append(proposal.state.eval)
         index, u, log_det = pick(points, chosen)
-        return Proposal(
-            State(index, u, _merge(target, State(index, u), evals, chosen)), pick(rests, chosen), log_det, chosen
-        )
+        states = [State(*point[:2]) for point in points]
+        return Proposal(State(index, u, _merge(target, states, evals, chosen)), pick(rests, chosen), log_det, chosen)
 
 
-def _merge(target: Multiplexed, state: State, evals: list[Eval | None], chosen: Index) -> Eval | None:
-    """The chosen proposal's evaluation; the moves that have none share a single one."""
-    if all(known is None for known in evals):
+def _merge(target: Multiplexed, states: list[State], evals: list[Eval | None], chosen: Index) -> Eval | None:
+    """The chosen proposal's evaluation; the moves that have none share a single one.
+
+    That one is made of their states alone: of the chosen state, XLA would compute the others' inverses anew wherever
+    the evaluation reads u.
+    """
+    blank = [k for k, known in enumerate(evals) if known is None]
+    if len(blank) == len(evals):
         return None
-    fresh = target.evaluate(state).seen if any(known is None for known in evals) else None
+    fresh = None
+    if blank:
+        state = states[blank[0]]
+        for k in blank[1:]:
+            state = jax.tree.map(lambda old, new, k=k: jnp.where(chosen == k, new, old), state, states[k])
+        fresh = target.evaluate(state).seen
     return pick([fresh if known is None else known for known in evals], chosen)
 
 
