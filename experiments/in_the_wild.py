@@ -157,6 +157,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         here = data.isel(kernel=k)
         verdict = str(here.verdict.to_numpy())
         wrong = str(name) in WRONG
+        outcomes = {"FAIL" if wrong else "PASS": "holds", "INCONCLUSIVE": "open"}
         library = str(here.library.to_numpy())
         claims.append(
             Claim(
