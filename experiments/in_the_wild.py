@@ -164,11 +164,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
                 f"wild.{library.partition(' ')[0]}-{str(name).lower().replace(', ', '-').replace(' ', '-')}",
                 f"{library}: {name} {'does not keep' if wrong else 'keeps'} the law ({here.law.to_numpy()})",
                 "dfm/emcee #531" if wrong else library,
-                "open"
-                if verdict == "INCONCLUSIVE"
-                else "holds"
-                if verdict == ("FAIL" if wrong else "PASS")
-                else "fails",
+                outcomes.get(verdict, "fails"),
                 "holds",
                 f"{verdict}, p {float(here.p_value):.2g}, {int(here.replicas):,} replicas",
                 f"level 1e-5; detects a CDF gap of {float(here.gap):.3f} with probability 0.99",
