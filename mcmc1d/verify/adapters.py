@@ -169,13 +169,16 @@ class EnsembleSubject(Subject):
         done = 0
         for time in times:
             with jax.enable_x64(True):
-                for k, state in enumerate(states):
-                    for _ in range(done, time):
-                        state, _ = self.move.propose(model, state)  # noqa: PLW2901
-                    states[k] = state
+                states = [self._walked(model, state, time - done) for state in states]
             done = time
             coordinates = np.concatenate([*(state.coords for state in states), points[len(states) * self.walkers :]])
             yield Look(coordinates.reshape(np.shape(start)).copy())
+
+    def _walked(self, model: Any, ensemble: Any, steps: int) -> Any:
+        """An ensemble after so many proposals of the move."""
+        for _ in range(steps):
+            ensemble, _ = self.move.propose(model, ensemble)
+        return ensemble
 
 
 def _module(step: Any) -> str:
