@@ -46,12 +46,13 @@ def cases() -> dict[str, Case]:
     line, space, banana = laws.walls(), laws.lopsided(), laws.banana()
     mixed = {"small": (0.7, SmallStep(0.1)), "jump": (0.3, ReversibleJump())}
     wrong = mixed | {"jump": (0.3, no_jacobian(ReversibleJump()))}
-    change = {"large": (0.2, StepAndChange(LargeStep())), "small": (0.8, StepAndChange(SmallStep(0.1)))}
+    naive = {"small": (0.8, no_jacobian(ReversibleJump()))}
+    steps = {"large": (0.2, StepAndChange(LargeStep())), "small": (0.8, StepAndChange(SmallStep(0.1)))}
     return {
         "random walk, 1D": Case(_walk(line, 0.3, 1.0), _walk(line, 0.3, 1.1), line, {}),
         "random walk, 3D": Case(_walk(space, 0.8, 1.0), _walk(space, 0.8, 1.1), space, {}),
         "NumPy walk, 1D": Case(_host_walk(1.0), _host_walk(1.1), laws.normal(1), {}),
-        "multiplexed MLT": Case(Mixture(change), Mixture(change | {"small": wrong["jump"]}), hard_target(), {}),
+        "multiplexed MLT": Case(Mixture(steps), Mixture(steps | naive), hard_target(), {}),
         "reversible jumps": Case(Mixture(mixed), Mixture(wrong), hard_target(), {}),
         "emcee, 3D": Case(emcee.moves.StretchMove(), emcee.moves.DESnookerMove(), laws.normal(3), {"gap": 0.02}),
         "BlackJAX NUTS, 2D": Case(_nuts(banana, 1.0), _nuts(banana, 1.1), banana, {}),

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +10,8 @@ from numpy.typing import ArrayLike
 from mcmc1d.checks import require_instance
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick, require
-from mcmc1d.state import Eval, Multiplexed, State
-from mcmc1d.types import Array, Float, Index, Real
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Float, Real
 
 
 class Mixture(Move):
@@ -66,26 +65,9 @@ class Mixture(Move):
             rests.append(jnp.concatenate([w[:1], proposal.w, w[1 + r :]]))
             evals.append(proposal.state.eval)
         index, u, log_det = pick(points, chosen)
-        states = [State(*point[:2]) for point in points]
-        return Proposal(State(index, u, _merge(target, states, evals, chosen)), pick(rests, chosen), log_det, chosen)
-
-
-def _merge(target: Multiplexed, states: list[State], evals: list[Eval | None], chosen: Index) -> Eval | None:
-    """The chosen proposal's evaluation; the moves that have none share a single one.
-
-    That one is made of their states alone: of the chosen state, XLA would compute the others' inverses anew wherever
-    the evaluation reads u.
-    """
-    blank = [k for k, known in enumerate(evals) if known is None]
-    if len(blank) == len(evals):
-        return None
-    fresh = None
-    if blank:
-        state = states[blank[0]]
-        for k in blank[1:]:
-            state = jax.tree.map(lambda old, new, k=k: jnp.where(chosen == k, new, old), state, states[k])
-        fresh = target.evaluate(state).seen
-    return pick([fresh if known is None else known for known in evals], chosen)
+        # Unless every move knows its own, one evaluation of the chosen state is cheaper than selecting among them.
+        known = None if any(found is None for found in evals) else pick(evals, chosen)
+        return Proposal(State(index, u, known), pick(rests, chosen), log_det, chosen)
 
 
 def _examples() -> dict[str, Move]:
