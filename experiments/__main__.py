@@ -93,10 +93,13 @@ def claims(
     out: Out = Path("figures"),
     json_: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="As the README's table.")] = False,
+    write: Annotated[Path | None, typer.Option(help="Put the table into a document, between its marks.")] = None,
 ) -> None:
     """Show the claims checked so far, from the results of the last runs."""
     found = framework.read_claims(out)
-    if json_:
+    if write is not None:
+        framework.rewrite(write, found)
+    elif json_:
         print(json.dumps([vars(claim) for claim in found], indent=2))
     elif markdown:
         print("\n".join(framework.markdown(found)))

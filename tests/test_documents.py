@@ -74,6 +74,19 @@ def test_experiment_skeleton_is_one_file(tmp_path, monkeypatch):
     assert all(path.stat().st_size > 0 for path in paths)
 
 
+def test_the_table_is_written_between_the_marks(tmp_path):
+    claims = framework.read_claims(ROOT / "figures")
+    document = tmp_path / "document.md"
+    document.write_text("before\n<!-- claims -->\nold\n<!-- /claims -->\nafter\n")
+    framework.rewrite(document, claims)
+    first, *table, last = document.read_text().splitlines()
+    assert (first, last) == ("before", "after")
+    assert table == ["<!-- claims -->", *framework.markdown(claims), "<!-- /claims -->"]
+    document.write_text("no marks")
+    with pytest.raises(ValueError, match="has no lines <!-- claims -->"):
+        framework.rewrite(document, claims)
+
+
 def test_readme_shows_the_claims_of_the_committed_figures():
     if not list((ROOT / "figures").glob("*.json")):
         pytest.fail("figures/ has no results: run `make reproduce` and commit them")

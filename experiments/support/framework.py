@@ -126,8 +126,17 @@ def read(out: Path, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
 
 def markdown(claims: list[Claim]) -> list[str]:
     """The lines of the README's table."""
-    rows = [f"| {c.statement} | {c.source} | **{c.verdict}** | {c.number} | {c.tolerance} |" for c in claims]
-    return ["| claim | source | verdict | measured | held to |", "| --- | --- | --- | --- | --- |", *rows]
+    rows = [f"| `{c.id}` | {c.statement} | {c.source} | **{c.verdict}** | {c.number} | {c.tolerance} |" for c in claims]
+    return ["| id | claim | source | verdict | measured | held to |", "| --- | --- | --- | --- | --- | --- |", *rows]
+
+
+def rewrite(document: Path, claims: list[Claim]) -> None:
+    """Put the table between the two `claims` marks of a document; `ValueError` where it has none."""
+    opening, closing = "<!-- claims -->\n", "\n<!-- /claims -->"
+    before, mark, rest = document.read_text().partition(opening) if document.exists() else ("", "", "")
+    _, end, after = rest.partition(closing)
+    require(bool(mark and end), f"{document} has no lines {opening.strip()} and {closing.strip()} to write between")
+    document.write_text(before + opening + "\n".join(markdown(claims)) + closing + after)
 
 
 def write(out: Path, name: str, data: xr.Dataset, figure: Figure, record: Mapping[str, Any]) -> list[Path]:
@@ -187,6 +196,7 @@ __all__ = [
     "read",
     "read_claims",
     "require_writable",
+    "rewrite",
     "style",
     "write",
 ]

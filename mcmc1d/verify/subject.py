@@ -63,13 +63,19 @@ class Subject(abc.ABC):
         """
 
     def walk(self, seed: Sequence[int], start: Position, times: Sequence[int]) -> Iterator[Look]:
-        """All replicas after each of the times, watched `unit` at a time."""
-        n = len(jax.tree.leaves(start)[0])
+        """All replicas after each of the times, watched `unit` at a time.
+
+        The last slice is filled up with the first replicas, which are then left out: of every new size a program would
+        be compiled.
+        """
+        n, unit = len(jax.tree.leaves(start)[0]), self.unit
+        if n > unit:
+            rows = np.arange(-(-n // unit) * unit) % n
+            start = jax.tree.map(lambda s: np.asarray(s)[rows], start)
         parts = [
-            self.watch(seed, a, jax.tree.map(lambda s, a=a: s[a : a + self.unit], start), times)
-            for a in range(0, n, self.unit)
+            self.watch(seed, a, jax.tree.map(lambda s, a=a: s[a : a + unit], start), times) for a in range(0, n, unit)
         ]
-        return (joined(looks) for looks in zip(*parts, strict=True))
+        return (head(n, joined(looks)) for looks in zip(*parts, strict=True))
 
     def prepare(self, start: Position) -> Position:
         """Exact draws in the precision in which the kernel runs."""
@@ -79,6 +85,15 @@ class Subject(abc.ABC):
         """`n` replicas at each of a few bad points; `unlikely` are exact draws, the least likely first."""
         count = len(jax.tree.leaves(points)[0])
         return [jax.tree.map(lambda a, k=k: np.repeat(np.asarray(a)[k : k + 1], n, 0), points) for k in range(count)]
+
+
+def head(n: int, look: Look) -> Look:
+    """The look at the first n replicas."""
+    cut = lambda tree: jax.tree.map(lambda a: a[:n], tree)  # noqa: E731
+    picked = look.picked
+    if picked is not None:
+        picked = Picked(cut(picked.points), picked.none[:n], picked.least, picked.most)
+    return Look(cut(look.positions), picked)
 
 
 def joined(looks: Sequence[Look]) -> Look:
