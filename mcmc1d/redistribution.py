@@ -1,0 +1,149 @@
+"""Images without one long chain: independent samples, and energy redistribution (ERPT, Cline, Talbot, Egbert 2005)."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.image import Film, Image
+from mcmc1d.metropolis import Kernel, as_kernel
+from mcmc1d.moves import Move
+from mcmc1d.numerics import require
+from mcmc1d.random import uniforms
+from mcmc1d.rendering import Rendered, Scene
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Float, Key
+
+_SAMPLES_AT_ONCE = 2**14
+
+
+def independent(key: Key, scene: Scene, samples: int, replicas: int) -> Rendered:
+    """`samples` independent draws of each replica, f / p of each in its pixel: the path tracing of Table 1.
+
+    A uniform choice among the techniques and the balance heuristic of the scene; not stratified over the pixels.
+    """
+    require(samples >= 1 and replicas >= 1, f"independent: one sample and replica at least, not {samples}, {replicas}")
+    sums = np.zeros((replicas, scene.pixels.count, 5))
+    for first in range(0, samples, _SAMPLES_AT_ONCE):
+        count = min(_SAMPLES_AT_ONCE, samples - first)
+        keys = jax.random.split(jax.random.fold_in(key, first), replicas)
+        sums += np.asarray(_scatter(keys, scene, _SAMPLES_AT_ONCE, jnp.asarray(count, jnp.int32)), np.float64)
+    return Rendered(Film.of(sums, np.ones(replicas), samples), float(samples), np.full(replicas, np.nan))
+
+
+def energy_redistribution(
+    key: Key,
+    scene: Scene,
+    kernel: Kernel | Move,
+    samples: int,
+    replicas: int,
+    *,
+    length: int = 100,
+    mutations: float = 1.0,
+    energy: float | None = None,
+) -> Rendered:
+    """Energy redistribution: chains of `length` from independent draws, each with the same energy, all deposited.
+
+    A draw of energy e = f / p starts floor(xi + e / quantum) chains, each of which deposits its quantum evenly over
+    its steps. The quantum is such that a sample brings `mutations` steps on average. Unbiased for any quantum, at
+    any length, because in expectation the starts follow f, which the chains keep. The paper under test has length
+    100 and one mutation for each sample; no filter removes noise. `energy`: the mean of e; the exact one unless
+    given. The steps and the samples are at most `samples` together, on average.
+    """
+    kernel = as_kernel(kernel, "energy_redistribution: the kernel")
+    require(length >= 1 and mutations > 0, f"energy_redistribution: length {length}, mutations {mutations}: positive")
+    mean = float(scene.region_masses(1).sum()) if energy is None else energy
+    starts = max(1, round(samples / (1 + mutations)))
+    quantum = mean * length / mutations
+    expected = starts * mutations / length
+    states, counts = [], np.zeros((replicas, 0), int)
+    for first in range(0, starts, _SAMPLES_AT_ONCE):
+        count = min(_SAMPLES_AT_ONCE, starts - first)
+        keys = jax.random.split(jax.random.fold_in(key, first), replicas)
+        (state, e), xi = _draws(keys, scene, _SAMPLES_AT_ONCE), np.random.default_rng([first, *_words(key)])
+        chains = np.floor(np.asarray(e, np.float64)[:, :count] / quantum + xi.random((replicas, count))).astype(int)
+        states.append(jax.tree.map(lambda leaf, n=count: np.asarray(leaf)[:, :n], state))
+        counts = np.concatenate([counts, chains], 1)
+    begun = jax.tree.map(lambda *parts: np.concatenate(parts, 1), *states)
+    most = int(counts.sum(1).max())
+    require(most > 0, f"energy_redistribution: no chain was started ({expected:.2g} expected); give more samples")
+    # All replicas run as many chains as the one that has most; those in excess weigh nothing.
+    size = -(-most // 64) * 64
+    rows = [np.repeat(np.arange(counts.shape[1]), c)[:size] for c in counts]
+    picked = np.stack([np.pad(row, (0, size - len(row))) for row in rows])
+    weight = np.stack([np.arange(size) < len(row) for row in rows]).astype(np.float32)
+    index, u = (np.stack([a[p] for a, p in zip(leaf, picked, strict=True)]) for leaf in (begun.index, begun.u))
+    keys = jax.random.split(jax.random.fold_in(key, starts), replicas)
+    estimator, state = Image(scene.f, scene.f, scene.pixels), State(jnp.asarray(index), jnp.asarray(u))
+    sums, accepted = _walk(keys, scene, estimator, kernel, state, jnp.asarray(weight), length)
+    # With I = f each deposit counts z = 1: the quantum's share of a step, over the samples.
+    chains = counts.sum(1)
+    work = starts + float(chains.mean()) * length
+    rate = np.asarray(accepted, np.float64) / np.maximum(chains * length, 1)
+    return Rendered(Film.of(sums, np.full(replicas, quantum / length), starts), work, rate)
+
+
+def _words(key: Key) -> list[int]:
+    return [int(word) for word in np.asarray(jax.random.key_data(key)).ravel()]
+
+
+def _uniform_states(key: Key, target: Multiplexed, count: int) -> State:
+    w = uniforms(key, 0, (target.dim_u + 1, count), jnp.float32)
+    index = jnp.minimum((w[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
+    return State(index, w[1:].T)
+
+
+@eqx.filter_jit
+def _draws(keys: Array, scene: Scene, count: int) -> tuple[State, Float[Array, "r n"]]:
+    """Independent states, and the energy of each: n times C_i(u), for n techniques."""
+
+    def one(key: Key) -> tuple[State, Array]:
+        target = scene.target
+        state = _uniform_states(key, target, count)
+        log_c = jax.vmap(target.evaluate)(state).seen.log_c
+        return state, target.n_techniques * jnp.exp(log_c)
+
+    return jax.vmap(one)(keys)
+
+
+@eqx.filter_jit
+def _scatter(keys: Array, scene: Scene, count: int, used: Array) -> Float[Array, "r n 5"]:
+    """The film's sums of independent samples, of which the first `used` count."""
+
+    def one(key: Key) -> Array:
+        target = scene.target
+        seen = jax.vmap(target.evaluate)(_uniform_states(key, target, count)).seen
+        z = target.n_techniques * jnp.exp(seen.log_c)
+        per = jnp.where(z > 0, z * jnp.exp(-seen.log_f), 0)  # 1 / p, where f is lit
+        rows = jnp.stack([jnp.ones_like(z), z, z * jnp.exp(seen.log_f), per, z * z], -1)
+        rows = jnp.where((jnp.arange(count) < used)[:, None], rows, 0)
+        return jnp.zeros((scene.pixels.count, 5)).at[jax.vmap(scene.pixels.cell)(seen.x)].add(rows)
+
+    return jax.vmap(one)(keys)
+
+
+@eqx.filter_jit
+def _walk(
+    keys: Array, scene: Scene, estimator: Image, kernel: Kernel, starts: State, weight: Float[Array, "r c"], length: int
+) -> tuple[Float[Array, "r n 5"], Float[Array, " r"]]:
+    """`length` steps from every start: the film's sums and the acceptances, each chain weighed."""
+
+    def one(key: Key, state: State, weight: Array) -> tuple[Array, Array]:
+        target = scene.target
+
+        def body(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
+            state, sums, accepted = carry
+            w = uniforms(key, k, (kernel.dim_w(target), weight.shape[0]), jnp.float32)
+            step = jax.vmap(partial(kernel.step, target), in_axes=(0, -1))(state, w)
+            deposits = step.deposits
+            step = eqx.tree_at(lambda s: s.deposits.weight, step, deposits.weight * weight[:, None])
+            return step.state, estimator.update(sums, step), accepted + (step.info.acceptance[:, 0] * weight).sum()
+
+        begun = jax.vmap(target.evaluate)(state)
+        zero = jnp.zeros((scene.pixels.count, 5))
+        _, sums, accepted = jax.lax.fori_loop(0, length, body, (begun, zero, jnp.zeros(())))
+        return sums, accepted
+
+    return jax.vmap(one)(keys, starts, weight)
