@@ -6,7 +6,10 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 
+from mcmc1d.checks import require_instance
 from mcmc1d.numerics import log_sum, parameter, require, require_positive
+from mcmc1d.targets import Target
+from mcmc1d.techniques import Technique
 from mcmc1d.types import Array, Float, Scalar
 
 
@@ -79,9 +82,79 @@ class FromFunction(Weights):
         return [jnp.log(w[i]) for i in range(len(log_p))]
 
 
+class Parts(Weights):
+    """w_i = f_i / sum_j f_j: technique i samples a target f_i of its own, and all together their sum.
+
+    So the rungs of a temperature ladder and the lengths of a path are indices like those of techniques, for a
+    `Multiplexed` of `targets.Sum` of the same parts; see `tempering`.
+    """
+
+    targets: tuple[Target, ...]
+
+    def __init__(self, targets: Sequence[Target]):
+        """`targets`: f_i, one for each technique."""
+        self.targets = tuple(targets)
+        for target in self.targets:
+            require_instance(target, Target, "Parts: a target")
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return tuple(sorted(set().union(*(target.breaks for target in self.targets))))
+
+    def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
+        require(
+            len(log_p) == len(self.targets),
+            f"Parts: there must be one target for each technique, {len(log_p)}, not {len(self.targets)}",
+        )
+        parts = [target.log_f(x) for target in self.targets]
+        total = log_sum(parts)
+        return [jnp.where(jnp.isneginf(part), -jnp.inf, part - total) for part in parts]
+
+
+class PathSpace(Weights):
+    """The weights of other techniques than those of the state: serial tempering in path space, without their maps.
+
+    In a `Multiplexed` of `techniques.Uniform` alone, once for each, u is x, and a change of technique keeps x: the
+    direct application to paths of Hachisuka et al. 2014, eq. 15, where the densities p_i enter by the weights only.
+    """
+
+    weights: Weights
+    techniques: tuple[Technique, ...]
+
+    def __init__(self, weights: Weights, techniques: Sequence[Technique]):
+        """`weights`: such as `Balance()`; `techniques`: those whose densities they are made of."""
+        self.weights, self.techniques = weights, tuple(techniques)
+        require_instance(weights, Weights, "PathSpace: the weights")
+        for technique in self.techniques:
+            require_instance(technique, Technique, "PathSpace: a technique")
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return tuple(sorted(set(self.weights.breaks).union(*(t.breaks for t in self.techniques))))
+
+    def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
+        require(
+            len(log_p) == len(self.techniques),
+            f"PathSpace: there must be as many Uniform() as techniques, {len(self.techniques)}, not {len(log_p)}",
+        )
+        return self.weights.log_weights(x, [technique.log_prob(x) for technique in self.techniques])
+
+
+def _examples() -> dict[str, Weights]:
+    from mcmc1d.targets import Sinusoid
+    from mcmc1d.targets.tempered import Tempered
+    from mcmc1d.techniques import Ramp, Tent
+
+    return {
+        "parts": Parts((Sinusoid(), Tempered(Sinusoid(), 0.3))),
+        "path_space": PathSpace(Balance(), (Tent(), Ramp())),
+    }
+
+
 EXAMPLES = {
     "balance": Balance(),
     "power": Power(),
     "maximum": Maximum(),
     "cutoff": FromFunction(lambda x, p: jnp.where(p < 0.2 * p.max(), 0, p) / jnp.where(p < 0.2 * p.max(), 0, p).sum()),
+    **_examples(),
 }

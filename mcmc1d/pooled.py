@@ -1,0 +1,207 @@
+"""Primary-sample-space MLT with all techniques at once: one u makes a sample by each of them.
+
+The chain is a chain on the unit cube, whose target is a function of u; a `Multiplexed` of it, with x = u, can be run,
+started exactly and verified like any other.
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mcmc1d.checks import require_instance, rising
+from mcmc1d.metropolis import Deposits, Kernel, Step, accept
+from mcmc1d.moves import Move, SmallStep
+from mcmc1d.numerics import cast, log_sum, require
+from mcmc1d.quadrature import integrate
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.targets import DensityOf, Target
+from mcmc1d.techniques.product import cube
+from mcmc1d.types import Array, Corners, Float, Scalar
+
+
+class Pooled(Target):
+    """C(u) = sum_i or max_i of w_i f / p_i at x_i = S_i(u): the density of PSSMLT (Hachisuka et al. 2014, Alg. 1).
+
+    With respect to du on the unit cube, which is also its domain. The integral of the sum is that of f, by eqs. 9 and
+    10; that of the maximum is less, and is what the deposits of a chain must be multiplied by.
+    """
+
+    multiplexed: Multiplexed
+    combine: Literal["sum", "maximum"] = eqx.field(static=True, default="sum")
+
+    def __check_init__(self):
+        require_instance(self.multiplexed, Multiplexed, "Pooled: what is pooled")
+        require(self.combine in ("sum", "maximum"), f'Pooled: combine must be "sum" or "maximum", not {self.combine!r}')
+
+    @property
+    def domain(self) -> Corners:
+        return _cube_domain(self.multiplexed.dim_u)
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Where in u, of one dimension, a technique comes upon a break of the target, the densities or the weights."""
+        points: set[float] = set()
+        if self.multiplexed.dim_u == 1:
+            with jax.enable_x64(True):
+                for technique in cast(self.multiplexed.techniques, jnp.float64):
+                    images = [technique.inverse(jnp.asarray(x), jnp.zeros(0))[0][0] for x in self.multiplexed.breaks]
+                    points.update(float(u) for u in images if 0 < u < 1)
+        return tuple(sorted(points))
+
+    def contributions(self, u: Float[Array, " m"]) -> tuple[Float[Array, "n ..."], Float[Array, " n"]]:
+        """(x_i, log C_i) of every technique."""
+        found = [self.multiplexed.evaluate(State(i, u)).seen for i in range(self.multiplexed.n_techniques)]
+        return jnp.stack([one.x for one in found]), jnp.stack([one.log_c for one in found])
+
+    def log_f(self, x: Float[Array, "..."]) -> Scalar:
+        """Log C at u = x; -inf outside of the cube."""
+        u = jnp.atleast_1d(x)
+        log_c = self.contributions(u)[1]
+        value = log_sum(list(log_c)) if self.combine == "sum" else jnp.max(log_c)
+        return jnp.where(jnp.all((u >= 0) & (u <= 1)), value, -jnp.inf)
+
+    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+        require(self.multiplexed.dim_u == 1, "Pooled: the masses of bins of u are known for one u only")
+        return self.quadrature(edges)
+
+
+class Floored(Target):
+    """C_i(u) with i = floor(n u_0), at the rest of u: the index as one more uniform number (section 4).
+
+    With respect to du on the unit cube of one dimension more than the techniques'. Its integral is b / n: hence the
+    factor n (k + 2 in the paper) on every contribution.
+    """
+
+    multiplexed: Multiplexed
+
+    def __check_init__(self):
+        require_instance(self.multiplexed, Multiplexed, "Floored: the target")
+
+    @property
+    def domain(self) -> Corners:
+        return _cube_domain(1 + self.multiplexed.dim_u)
+
+    def state(self, u: Float[Array, " m"]) -> State:
+        """The evaluated (index, u) that a point of the larger cube stands for."""
+        n = self.multiplexed.n_techniques
+        index = jnp.clip((u[0] * n).astype(jnp.int32), 0, n - 1)
+        return self.multiplexed.evaluate(State(index, u[1:]))
+
+    def log_f(self, x: Float[Array, " m"]) -> Scalar:
+        return jnp.where(jnp.all((x >= 0) & (x <= 1)), self.state(x).seen.log_c, -jnp.inf)
+
+    def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
+        """The exact integral over boxes between (edges of u_0, edges of u_1), for techniques of one number."""
+        require(self.multiplexed.dim_u == 1, "Floored: the masses of boxes are known for techniques of one number only")
+        n = self.multiplexed.n_techniques
+        first, second = (rising(np.asarray(part), "Floored.bin_masses") for part in edges)
+        inside = np.clip(first[:, None] * n - np.arange(n), 0, 1)  # how much of each index lies below an edge
+        breaks = Pooled(self.multiplexed).breaks
+        masses = integrate(_Each(self.multiplexed), np.clip(second, 0, 1), breaks)[0]
+        return np.diff(inside, axis=0) / n @ masses.T
+
+
+class _Each(eqx.Module):
+    """C_i(u) of every technique."""
+
+    multiplexed: Multiplexed
+
+    def __call__(self, u: Scalar) -> Float[Array, " n"]:
+        return jnp.exp(Pooled(self.multiplexed).contributions(jnp.atleast_1d(u))[1])
+
+
+def pooled(multiplexed: Multiplexed, combine: Literal["sum", "maximum"] = "sum") -> Multiplexed:
+    """The target of PSSMLT: `Pooled` on its cube, x = u. `PooledDeposit` makes samples of the original f of it."""
+    return Multiplexed(Pooled(multiplexed, combine), cube(multiplexed.dim_u))
+
+
+def floored(multiplexed: Multiplexed) -> Multiplexed:
+    """The same law as `multiplexed`'s, with the index as the floor of a number that moves like the others."""
+    return Multiplexed(Floored(multiplexed), cube(1 + multiplexed.dim_u))
+
+
+def samples(target: Floored, u: ArrayLike) -> np.ndarray:
+    """The x that each of n points u of the larger cube, (n, m + 1), stands for; in float64 on the host."""
+    with jax.enable_x64(True):
+        return np.asarray(_states(cast(target, jnp.float64), jnp.asarray(u, jnp.float64)).seen.x)
+
+
+@eqx.filter_jit
+def _states(target: Floored, u: Float[Array, "n m"]) -> State:
+    return jax.vmap(target.state)(u)
+
+
+def integral(target: Target) -> float:
+    """The exact integral of a 1D target over its domain: for `Pooled`, what its chain's deposits are multiplied by."""
+    return float(integrate(DensityOf(target), np.asarray(target.domain, np.float64), target.breaks)[0].sum())
+
+
+class PooledDeposit(Kernel):
+    """Step u, and deposit the samples of all techniques, of the current and the proposed u (expected values).
+
+    Sample i of u gets C_i(u) / C(u), times 1 - a for the current and a for the proposed u. Their expectation over the
+    chain is the integral of f over a bin, divided by that of C; the total of a step is one for the sum, and up to n
+    for the maximum. Deposit k stands for technique k mod n; its `index` is that of the one technique of the cube.
+    """
+
+    move: Move
+
+    def __check_init__(self):
+        require_instance(self.move, Move, "PooledDeposit: the move")
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        return self.move.kinds
+
+    def dim_w(self, target: Multiplexed) -> int:
+        return self.move.dim_w(target) + 1
+
+    def check(self, target: Multiplexed) -> None:
+        require_instance(target.target, Pooled, "PooledDeposit: the chain's target", "; see pooled()")
+        self.move.check(target)
+
+    def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
+        own = target.target
+        assert isinstance(own, Pooled)  # as `check` has made sure
+        proposal = self.move.propose(target, state, w[:-1])
+        step = accept(target, state, proposal, w[-1], "plain")
+        a = step.info.acceptance[0]
+        there = jnp.where(a > 0, proposal.state.u, state.u)  # an impossible proposal may be no point at all
+        parts = [_shares(own, u, share) for u, share in ((state.u, 1 - a), (there, a))]
+        x, weight = (jnp.concatenate(both) for both in zip(*parts, strict=True))
+        index = jnp.zeros(weight.shape, jnp.int32)
+        return Step(step.state, Deposits(x, index, weight), step.info)
+
+
+def _shares(own: Pooled, u: Float[Array, " m"], share: Scalar) -> tuple[Array, Array]:
+    """The samples of u, and the share dealt out to them; a dark u, from which every chain leaves, gives nothing."""
+    x, log_c = own.contributions(u)
+    log_total = own.log_f(u[0] if own.multiplexed.dim_u == 1 else u)
+    lit = jnp.isfinite(log_total) & (log_c > -jnp.inf)
+    return x, jnp.where(lit, share * jnp.exp(jnp.where(lit, log_c - log_total, 0)), 0)
+
+
+def _cube_domain(m: int) -> Corners:
+    return (0.0, 1.0) if m == 1 else (np.zeros(m), np.ones(m))
+
+
+def _examples() -> dict[str, Target | Kernel]:
+    from mcmc1d.targets import Sinusoid
+    from mcmc1d.techniques import Ramp, Tent
+
+    multiplexed = Multiplexed(Sinusoid(0.9, 1.5, 0.1), (Tent(0.3), Ramp(1.2)))
+    return {
+        "pooled": Pooled(multiplexed),
+        "floored": Floored(multiplexed),
+        "pooled_deposit": PooledDeposit(SmallStep(0.1)),
+    }
+
+
+EXAMPLES = _examples()
+
+__all__ = ["Floored", "Pooled", "PooledDeposit", "floored", "integral", "pooled", "samples"]
