@@ -6,10 +6,27 @@ Techniques are bijections u <-> (x, v), moves are involutions (s, w) <-> (s', w'
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mcmc1d import moves, targets, techniques, verify, weights
+    from mcmc1d import (
+        image,
+        importance,
+        lazy,
+        moves,
+        packets,
+        pooled,
+        redistribution,
+        rendering,
+        stages,
+        subchain,
+        targets,
+        techniques,
+        tempering,
+        verify,
+        weights,
+    )
     from mcmc1d.chain import Normalisation, Run, Trace, exact_start, normalisation, run, trace
     from mcmc1d.estimators import Acceptance, Estimator, Expectation, Histogram
     from mcmc1d.metropolis import Cycle, Kernel, Metropolis
+    from mcmc1d.planar_histogram import Histogram2D
     from mcmc1d.state import Eval, Multiplexed, State
 else:
     # On first use: pytest imports this package at the start of everyone's run, for its plugin, and must not wait for
@@ -28,12 +45,31 @@ else:
         return sorted({*globals(), *__all__})
 
 
+_MODULES = [
+    "image",
+    "importance",
+    "lazy",
+    "moves",
+    "packets",
+    "pooled",
+    "redistribution",
+    "rendering",
+    "stages",
+    "subchain",
+    "targets",
+    "techniques",
+    "tempering",
+    "verify",
+    "weights",
+]
+
 _HOMES = {
     **dict.fromkeys(["Normalisation", "Run", "Trace", "exact_start", "normalisation", "run", "trace"], "chain"),
     **dict.fromkeys(["Acceptance", "Estimator", "Expectation", "Histogram"], "estimators"),
     **dict.fromkeys(["Cycle", "Kernel", "Metropolis"], "metropolis"),
     **dict.fromkeys(["Eval", "Multiplexed", "State"], "state"),
-    **{name: name for name in ["moves", "targets", "techniques", "verify", "weights"]},
+    "Histogram2D": "planar_histogram",
+    **{name: name for name in _MODULES},
 }
 """The module of each public name; a submodule's is its own."""
 
@@ -44,6 +80,7 @@ __all__ = [
     "Eval",
     "Expectation",
     "Histogram",
+    "Histogram2D",
     "Kernel",
     "Metropolis",
     "Multiplexed",
@@ -52,11 +89,21 @@ __all__ = [
     "State",
     "Trace",
     "exact_start",
+    "image",
+    "importance",
+    "lazy",
     "moves",
     "normalisation",
+    "packets",
+    "pooled",
+    "redistribution",
+    "rendering",
     "run",
+    "stages",
+    "subchain",
     "targets",
     "techniques",
+    "tempering",
     "trace",
     "verify",
     "weights",

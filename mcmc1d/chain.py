@@ -215,7 +215,7 @@ def _record(
 
     def body(state: State, k: Array) -> tuple[State, Any]:
         state = _step(key, kernel, target, k, state).state
-        return state, (state.seen.x, state.index)
+        return state, (jnp.moveaxis(state.seen.x, -1, 0), state.index)
 
     evaluated = jax.vmap(target.evaluate, out_axes=-1)(start)
     last, (x, index) = jax.lax.scan(body, evaluated, jnp.arange(steps))

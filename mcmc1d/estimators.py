@@ -1,6 +1,7 @@
 """What a run accumulates on the fly: sums over steps and chains, never the chains themselves."""
 
 import abc
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.metropolis import Kernel, Step
+from mcmc1d.metropolis import Deposits, Kernel, Step
 from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Float, Scalar
@@ -30,6 +31,30 @@ class Estimator(eqx.Module):
     @abc.abstractmethod
     def update(self, sums: Any, steps: Step) -> Any:
         """`sums` with the deposits of one step of every chain added."""
+
+
+def add_deposits(
+    sums: Float[Array, "..."], deposits: Deposits, place: Callable[[Float[Array, "..."]], Array], *, joint: bool
+) -> Float[Array, "..."]:
+    """`sums`, of shape (bins,) or if `joint` (n_techniques, bins), with the weight of each deposit in its bin added.
+
+    `place` is the bin of the x of every chain: (chains,) integers within bounds.
+    """
+    if sums.dtype == jnp.float64:
+        limbs, scale = [jnp.zeros_like(sums)], 1.0
+    else:
+        # A float32 bin with thousands of deposits would round each: they are added up as whole numbers of
+        # 2**-bits, as many bits as keep all of a step's deposits (of weight 1 at most) in 31, and the rest alike.
+        limbs = [jnp.zeros(sums.shape, jnp.int32)] * 2
+        scale = 2.0 ** (30 - max(deposits.weight.size - 1, 1).bit_length())
+    for x, index, weight in zip(deposits.x, deposits.index, deposits.weight, strict=True):
+        where = (index, place(x)) if joint else (place(x),)
+        amount = weight * scale
+        for k, limb in enumerate(limbs):
+            whole = amount if limb.dtype == amount.dtype else jnp.round(amount)
+            limbs[k] = limb.at[where].add(whole.astype(limb.dtype), mode="promise_in_bounds")
+            amount = (amount - whole) * scale
+    return sums + sum(limb.astype(sums.dtype) / scale ** (k + 1) for k, limb in enumerate(limbs))
 
 
 class Histogram(Estimator):
@@ -73,22 +98,7 @@ class Histogram(Estimator):
         return jnp.zeros((target.n_techniques, bins) if self.joint else bins, dtype)
 
     def update(self, sums: Float[Array, "..."], steps: Step) -> Float[Array, "..."]:
-        deposits = steps.deposits
-        if sums.dtype == jnp.float64:
-            limbs, scale = [jnp.zeros_like(sums)], 1.0
-        else:
-            # A float32 bin with thousands of deposits would round each: they are added up as whole numbers of
-            # 2**-bits, as many bits as keep all of a step's deposits (of weight 1 at most) in 31, and the rest alike.
-            limbs = [jnp.zeros(sums.shape, jnp.int32)] * 2
-            scale = 2.0 ** (30 - max(deposits.weight.size - 1, 1).bit_length())
-        for x, index, weight in zip(deposits.x, deposits.index, deposits.weight, strict=True):
-            where = (index, self._bin(x)) if self.joint else (self._bin(x),)
-            amount = weight * scale
-            for k, limb in enumerate(limbs):
-                whole = amount if limb.dtype == amount.dtype else jnp.round(amount)
-                limbs[k] = limb.at[where].add(whole.astype(limb.dtype), mode="promise_in_bounds")
-                amount = (amount - whole) * scale
-        return sums + sum(limb.astype(sums.dtype) / scale ** (k + 1) for k, limb in enumerate(limbs))
+        return add_deposits(sums, steps.deposits, self._bin, joint=self.joint)
 
     def _bin(self, x: Float[Array, "..."]) -> Array:
         bins = self.edges.shape[0] - 1
@@ -133,7 +143,8 @@ class Expectation(Estimator):
             return self.function(x) * weight
 
         deposits = steps.deposits
-        return sums + jax.vmap(jax.vmap(one))(deposits.x, deposits.weight).sum((0, 1))
+        # The chains are the last axis of x, after its own.
+        return sums + jax.vmap(jax.vmap(one, in_axes=-1))(deposits.x, deposits.weight).sum((0, 1))
 
 
 EXAMPLES = {

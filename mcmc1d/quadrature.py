@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -106,3 +106,155 @@ def midpoints(lower: np.ndarray, upper: np.ndarray, count: int) -> np.ndarray:
     side = max(2, round(count ** (1 / lower.size)))
     grid = np.array(list(itertools.product((np.arange(side) + 0.5) / side, repeat=lower.size)))
     return lower + (upper - lower) * grid
+
+
+# --- the plane ------------------------------------------------------------------------------------------------------
+
+
+def _nowhere(t: np.ndarray) -> np.ndarray:
+    return np.full((len(t), 0), np.nan)
+
+
+class Outline(NamedTuple):
+    """Where a function of the plane may jump or bend: at vertical lines, and along curves y(x)."""
+
+    x: np.ndarray
+    """The vertical lines, and where a curve begins, ends or turns back."""
+    y_at: Callable[[np.ndarray], np.ndarray] = _nowhere
+    """(n,) x -> (n, c) y of the curves; NaN where a curve is not."""
+    x_at: Callable[[np.ndarray], np.ndarray] = _nowhere
+    """(n,) y -> (n, c) x of the curves: where they cross a bin's edge, the bin's mass bends as a function of x."""
+
+    @staticmethod
+    def lines(x: np.ndarray, y: np.ndarray) -> "Outline":
+        """Vertical and horizontal lines."""
+        y = np.asarray(y, np.float64)
+        return Outline(np.asarray(x, np.float64), lambda t: np.broadcast_to(y, (len(t), y.size)))
+
+    @staticmethod
+    def box(lower: Any, upper: Any) -> "Outline":
+        """The sides of a box."""
+        lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+        return Outline.lines(np.array([lower[0], upper[0]]), np.array([lower[1], upper[1]]))
+
+    @staticmethod
+    def circle(centre: Any, radius: Any) -> "Outline":
+        """A circle."""
+        centre, radius = np.asarray(centre, np.float64), float(radius)
+
+        def across(t: np.ndarray, k: int) -> np.ndarray:
+            with np.errstate(invalid="ignore"):
+                half = np.sqrt(radius**2 - (t - centre[k]) ** 2)
+            return np.stack([centre[1 - k] - half, centre[1 - k] + half], 1)
+
+        ends = np.array([centre[0] - radius, centre[0] + radius])
+        return Outline(ends, lambda x: across(x, 0), lambda y: across(y, 1))
+
+    @staticmethod
+    def polygon(vertices: np.ndarray) -> "Outline":
+        """The sides of a polygon, from its (n, 2) vertices."""
+        start = np.asarray(vertices, np.float64)
+        side = np.roll(start, -1, axis=0) - start
+
+        def along(t: np.ndarray, k: int) -> np.ndarray:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                place = (t[:, None] - start[:, k]) / side[:, k]
+            found = start[:, 1 - k] + place * side[:, 1 - k]
+            return np.where((place >= 0) & (place <= 1), found, np.nan)
+
+        return Outline(start[:, 0], lambda x: along(x, 0), lambda y: along(y, 1))
+
+
+_OUTER, _INNER, _CHECK = 12, 12, 8  # nodes of Gauss and Legendre across a strip, along it, and to tell its error
+_CHUNK = 2**16  # points that are evaluated at once: one size, so that one program serves all
+
+
+def integrate_plane(
+    function: Callable[[Float[Array, " 2"]], Float[Array, "..."]],
+    x_edges: np.ndarray,
+    y_edges: np.ndarray,
+    outlines: Sequence[Outline] = (),
+    tolerance: float = 1e-10,
+) -> tuple[np.ndarray, float]:
+    """The integral of a JAX function of a point (2,) over each cell between the edges, and a bound on its error.
+
+    `function` maps a point to an array of any shape. Along y it is integrated between the edges and the `outlines`,
+    where it jumps or bends; across, strips are halved until a strip and its halves agree. Returns integrals of shape
+    (nx, ny, ...) and the sum of all disagreements, which is under `tolerance` times the whole; `ValueError` where that
+    is out of reach.
+    """
+    x_edges, y_edges = rising(x_edges, "integrate_plane"), rising(y_edges, "integrate_plane")
+    marks = [x_edges, *(outline.x for outline in outlines), *(outline.x_at(y_edges).ravel() for outline in outlines)]
+    cuts = np.unique(np.concatenate(marks))
+    cuts = cuts[(cuts >= x_edges[0]) & (cuts <= x_edges[-1])]
+    # Cuts a few roundings apart are one cut, met in two ways.
+    near = np.diff(cuts, prepend=-np.inf) > 1e-13 * np.ptp(x_edges)
+    a, b = cuts[near][:-1], np.append(cuts[near][1:-1], x_edges[-1])
+    with jax.enable_x64(True):
+        evaluate = eqx.filter_jit(eqx.filter_vmap(cast(function, jnp.float64)))
+        for pieces in (32, 64, 128, 256, 512):
+            inside = np.linspace(y_edges[0], y_edges[-1], pieces + 1)
+            strips = _Strips(evaluate, y_edges, np.union1d(y_edges, inside), outlines)
+            coarse = strips.integrals(a, b, _INNER)
+            scale = max(float(np.abs(coarse).sum()), 1e-300)
+            require(bool(np.isfinite(scale)), "integrate_plane: the function is not finite somewhere inside the cells")
+            along = float(np.abs(coarse - strips.integrals(a, b, _CHECK)).sum())
+            if along <= tolerance * scale / 2:
+                break
+        else:
+            a = b = a[:0]  # hopeless, and said so below
+        total = np.zeros((len(x_edges) - 1, *coarse.shape[1:]))
+        # The check is of fewer nodes than what is used, whose own error is far smaller still.
+        error, budget = along, tolerance * scale / (16 * len(cuts))
+        while len(a) > 0:
+            middle = (a + b) / 2
+            halves = [strips.integrals(a, middle, _INNER), strips.integrals(middle, b, _INNER)]
+            apart = np.abs(halves[0] + halves[1] - coarse).reshape(len(a), -1).sum(1)
+            done = (apart <= budget) | (b - a <= 4 * np.spacing(np.maximum(np.abs(a), np.abs(b))))
+            error += float(apart[done].sum())
+            np.add.at(total, np.searchsorted(x_edges, middle[done], side="right") - 1, (halves[0] + halves[1])[done])
+            again = ~done
+            a, b = np.concatenate([a[again], middle[again]]), np.concatenate([middle[again], b[again]])
+            coarse = np.concatenate([half[again] for half in halves])
+            if len(a) * pieces > 2**18:
+                error = np.inf
+                break
+    require(
+        error <= tolerance * scale,
+        f"integrate_plane: the error is {error / scale:.2g} of the whole, above {tolerance:.2g}; name the curves along "
+        "which the function jumps or bends in `outline`",
+    )
+    return total, error
+
+
+class _Strips:
+    """The integrals of a function over the cells of vertical strips."""
+
+    def __init__(self, evaluate: Callable, y_edges: np.ndarray, ends: np.ndarray, outlines: Sequence[Outline]):
+        self.evaluate, self.y_edges, self.ends, self.outlines = evaluate, y_edges, ends, outlines
+
+    def integrals(self, a: np.ndarray, b: np.ndarray, inner: int) -> np.ndarray:
+        """Over [a_k, b_k] x each bin of y: (n, ny, ...), with `inner` nodes in each piece along y."""
+        (s, outer), (t, weights) = (np.polynomial.legendre.leggauss(count) for count in (_OUTER, inner))
+        x = ((a + b)[:, None] / 2 + (b - a)[:, None] / 2 * s).ravel()
+        lower, upper = self.ends[0], self.ends[-1]
+        curves = [np.clip(np.nan_to_num(o.y_at(x), nan=lower), lower, upper) for o in self.outlines]
+        ends = np.sort(np.concatenate([np.broadcast_to(self.ends, (len(x), len(self.ends))), *curves], axis=1), axis=1)
+        low, half = ends[:, :-1, None], np.diff(ends, axis=1)[..., None] / 2
+        y = low + half * (1 + t)
+        values = self._values(np.stack([np.broadcast_to(x[:, None, None], y.shape), y], -1).reshape(-1, 2))
+        shape = values.shape[1:]
+        parts = (values.reshape(*y.shape, -1) * (half * weights)[..., None]).sum(2)
+        bins = np.clip(np.searchsorted(self.y_edges, (ends[:, 1:] + ends[:, :-1]) / 2) - 1, 0, len(self.y_edges) - 2)
+        found = np.zeros((len(x), len(self.y_edges) - 1, parts.shape[-1]))
+        np.add.at(found, (np.arange(len(x))[:, None], bins), parts)
+        found = found.reshape(len(a), _OUTER, *found.shape[1:]) * (outer * (b - a)[:, None] / 2)[..., None, None]
+        return found.sum(1).reshape(len(a), len(self.y_edges) - 1, *shape)
+
+    def _values(self, points: np.ndarray) -> np.ndarray:
+        found = []
+        for first in range(0, len(points), _CHUNK):
+            chunk = points[first : first + _CHUNK]
+            padded = np.pad(chunk, ((0, _CHUNK - len(chunk)), (0, 0)), mode="edge")
+            found.append(np.asarray(self.evaluate(jnp.asarray(padded)))[: len(chunk)])
+        return np.concatenate(found)

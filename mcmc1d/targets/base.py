@@ -1,14 +1,19 @@
 """What a target is: an unnormalised density on a bounded domain, with its exact bin masses."""
 
 import abc
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.quadrature import integrate
+from mcmc1d.numerics import require
+from mcmc1d.quadrature import Outline, integrate, integrate_plane
 from mcmc1d.types import Array, Corners, Float, Scalar
+
+Edges: TypeAlias = Any
+"""The edges of bins: n + 1 rising numbers on the line, a pair (x_edges, y_edges) of such in the plane."""
 
 
 class Target(eqx.Module):
@@ -28,13 +33,18 @@ class Target(eqx.Module):
         """Where f jumps or bends (in 1D); quadrature is split there."""
         return ()
 
+    @property
+    def outline(self) -> Outline:
+        """Where f jumps or bends in the plane, beyond the sides of its domain; nowhere unless redefined."""
+        return Outline(np.zeros(0))
+
     @abc.abstractmethod
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         """Log f(x): one point, -inf where f is zero (outside the domain as well)."""
 
     @abc.abstractmethod
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
-        """The exact integral of f over each bin between the n + 1 `edges`, in float64 on the host: shape (n,)."""
+    def bin_masses(self, edges: Edges) -> np.ndarray:
+        """The exact integral of f over each bin between the `edges`, in float64 on the host: (n,), or (nx, ny)."""
 
     def complaint(self, x: ArrayLike) -> str:
         """What is wrong with f at an x where `log_f` is NaN or infinite, for a message."""
@@ -42,10 +52,20 @@ class Target(eqx.Module):
             return f"{type(self).__name__} is infinite at x = {x}"
         return f"{type(self).__name__} is NaN at x = {x}: the density is negative or undefined there"
 
-    def quadrature(self, edges: np.ndarray) -> np.ndarray:
-        """`bin_masses` without a closed form: adaptive quadrature of f, right to 1e-11 of the whole."""
-        ends = tuple(float(end) for end in self.domain)  # f may drop to zero there, inside a bin
-        return integrate(DensityOf(self), edges, self.breaks + ends)[0]
+    def quadrature(self, edges: Edges) -> np.ndarray:
+        """`bin_masses` without a closed form: adaptive quadrature, right to 1e-11 of the whole, 1e-10 in the plane."""
+        if np.ndim(self.domain[0]) == 0:
+            ends = tuple(float(end) for end in self.domain)  # f may drop to zero there, inside a bin
+            return integrate(DensityOf(self), edges, self.breaks + ends)[0]
+        x_edges, y_edges = pair_of_edges(edges, type(self).__name__)
+        return integrate_plane(DensityOf(self), x_edges, y_edges, [self.outline, Outline.box(*self.domain)])[0]
+
+
+def pair_of_edges(edges: Edges, who: str) -> tuple[np.ndarray, np.ndarray]:
+    """The pair (x_edges, y_edges), or `ValueError` where what was given is none."""
+    pair = len(edges) == 2 and all(np.ndim(part) == 1 for part in edges)
+    require(pair, f"{who}: in the plane, edges are a pair (x_edges, y_edges), each of rising numbers")
+    return edges[0], edges[1]
 
 
 class DensityOf(eqx.Module):
@@ -53,5 +73,5 @@ class DensityOf(eqx.Module):
 
     target: Target
 
-    def __call__(self, x: Scalar) -> Scalar:
+    def __call__(self, x: Float[Array, "..."]) -> Scalar:
         return jnp.exp(self.target.log_f(x))

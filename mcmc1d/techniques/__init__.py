@@ -3,22 +3,42 @@
 from mcmc1d.techniques.base import Inversion, Technique, dim_v, sample_shape, within
 from mcmc1d.techniques.compose import Compose
 from mcmc1d.techniques.elementary import Ramp, Tent, Uniform
+from mcmc1d.techniques.gaussian import BoxMuller
 from mcmc1d.techniques.mixture import Mixture
 from mcmc1d.techniques.piecewise import PiecewiseConstant, PiecewiseLinear, Tabulated
+from mcmc1d.techniques.planar import (
+    ConcentricDisk,
+    MarginalConditional,
+    Planar,
+    PolarDisk,
+    ProjectedCap,
+    Rectangle,
+    Triangle,
+)
+from mcmc1d.techniques.product import Product
 from mcmc1d.techniques.sinusoid import RaisedSinusoid
 from mcmc1d.techniques.truncated_normal import TruncatedNormal
 
 __all__ = [
+    "BoxMuller",
     "Compose",
+    "ConcentricDisk",
     "Inversion",
+    "MarginalConditional",
     "Mixture",
     "PiecewiseConstant",
     "PiecewiseLinear",
+    "Planar",
+    "PolarDisk",
+    "Product",
+    "ProjectedCap",
     "RaisedSinusoid",
     "Ramp",
+    "Rectangle",
     "Tabulated",
     "Technique",
     "Tent",
+    "Triangle",
     "TruncatedNormal",
     "Uniform",
     "dim_v",

@@ -1,7 +1,8 @@
 """What a kernel is verified against: a probability law known exactly, by its sampler and its CDF or bin masses."""
 
+import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import numpy as np
 
 from mcmc1d.chain import exact_start
 from mcmc1d.numerics import require
+from mcmc1d.planar_histogram import planar_joint_masses
 from mcmc1d.state import Multiplexed, State
 
 Position: TypeAlias = Any
@@ -151,12 +153,15 @@ def _scipy_law(distribution: Any) -> Law:
 
 _BINS = 256
 _JOINT_BINS = 32
+_PLANAR_BINS = 128  # along each coordinate
+_PLANAR_CELLS = 16, 8  # a side of the cells of x, and of (index, x)
 
 
 def multiplexed_law(target: Multiplexed) -> Law:
     """The law of a chain's (index, x, u) under w_i f / p_i, drawn by rejection.
 
-    A scalar x is held to `target.target.bin_masses` and (index, x) to `target.joint_masses`; u to fresh exact draws.
+    A scalar x is held to `target.target.bin_masses` and (index, x) to `target.joint_masses`; a planar x to its marginal
+    and joint masses, where they are known; u, and what else there is, to fresh exact draws.
     """
     lower, upper = target.target.domain
 
@@ -172,7 +177,46 @@ def multiplexed_law(target: Multiplexed) -> Law:
             joint = target.joint_masses(bins)
             statistics["index, x"] = Bins(bins, joint).statistic()
             statistics["index"] = Discrete(lambda where: where["index"], joint.sum(1), ordered=True)
+    elif np.shape(lower) == (2,):
+        statistics |= _planar(target)
     return Law(sample=sample, statistics=statistics, name=type(target.target).__name__)
+
+
+def _planar(target: Multiplexed) -> dict[str, Statistic]:
+    """What is known exactly of a planar x: the law of each coordinate, of cells of x, and of (index, cell).
+
+    Whatever can not be integrated to 1e-10 (a jump along a curve that no outline names) is left out, and so is
+    compared with fresh exact draws.
+    """
+    corners = [np.asarray(corner, np.float64) for corner in target.target.domain]
+
+    def edges(count: int) -> tuple[np.ndarray, np.ndarray]:
+        x, y = (np.linspace(corners[0][k], corners[1][k], count + 1) for k in range(2))
+        return x, y
+
+    fine = edges(_PLANAR_BINS)
+    try:
+        masses = target.target.bin_masses(fine)
+    except ValueError:
+        return {}
+    statistics: dict[str, Statistic] = {}
+    for k in range(2):
+        bins = Bins(fine[k], masses.sum(1 - k))
+        statistics[f"x[{k}]"] = replace(
+            bins.statistic(), cell=lambda where, bins=bins, k=k: bins.cell(np.asarray(where["x"])[:, k])
+        )
+    side, joint_side = _PLANAR_CELLS
+    step = _PLANAR_BINS // side
+    coarse = masses.reshape(side, step, side, step).sum((1, 3))
+    statistics["x[0], x[1]"] = PlanarBins(*edges(side), coarse).statistic()
+    if target.n_techniques > 1:
+        try:
+            joint = planar_joint_masses(target, *edges(joint_side))
+        except ValueError:
+            return statistics
+        statistics["index, x[0], x[1]"] = PlanarBins(*edges(joint_side), joint).statistic()
+        statistics["index"] = Discrete(lambda where: where["index"], joint.sum((1, 2)), ordered=True)
+    return statistics
 
 
 def positions(target: Multiplexed, state: State) -> Position:
@@ -222,6 +266,54 @@ class Bins:
             lit[lit] = masses[rows[empty][lit], near[lit]] > 0
             cell[np.flatnonzero(empty)[lit]] = near[lit]
         return np.where(known & (cell >= 0) & (cell < bins), rows * bins + cell, -1)
+
+
+@dataclass(frozen=True)
+class PlanarBins:
+    """The exact masses of cells of a planar x, (nx, ny), or of (technique, x), (techniques, nx, ny)."""
+
+    x_edges: np.ndarray
+    y_edges: np.ndarray
+    masses: np.ndarray
+
+    def statistic(self) -> Discrete:
+        """As cells that are tested."""
+        spans = [
+            f"x in [{a:.4g}, {b:.4g}] x [{c:.4g}, {d:.4g}]"
+            for a, b in itertools.pairwise(self.x_edges)
+            for c, d in itertools.pairwise(self.y_edges)
+        ]
+        joint = self.masses.ndim == 3
+        labels = [f"technique {i}, {span}" for i in range(len(self.masses)) for span in spans] if joint else spans
+        return Discrete(self.cell, self.masses.ravel() / self.masses.sum(), tuple(labels), cut=True)
+
+    def cell(self, where: Position) -> np.ndarray:
+        """The cell of each state; -1 outside of all. One that rounds into an empty cell is counted beside it."""
+        joint = self.masses.ndim == 3
+        x = np.asarray(where["x"], np.float64)
+        masses = self.masses.reshape(-1, self.masses.shape[-2] * self.masses.shape[-1])
+        rows = np.asarray(where["index"]) if joint else np.zeros(len(x), np.int64)
+        known = (rows >= 0) & (rows < len(masses))
+        rows = np.where(known, rows, 0)
+        cell = self._place(x)
+        empty = (cell < 0) | (masses[rows, np.maximum(cell, 0)] == 0)
+        for side in itertools.product((-1, 0, 1), repeat=2):
+            near = self._place(x[empty] + np.array(side) * _ROUNDING * (1 + np.abs(x[empty])))
+            lit = near >= 0
+            lit[lit] = masses[rows[empty][lit], near[lit]] > 0
+            cell[np.flatnonzero(empty)[lit]] = near[lit]
+        return np.where(known & (cell >= 0), rows * masses.shape[1] + cell, -1)
+
+    def _place(self, x: np.ndarray) -> np.ndarray:
+        """The cell's number within its technique's; -1 outside of all."""
+        place, inside = np.zeros(len(x), np.int64), np.ones(len(x), bool)
+        for k, edges in enumerate((self.x_edges, self.y_edges)):
+            n = len(edges) - 1
+            along = np.searchsorted(edges, x[:, k], side="right") - 1
+            along = np.where(x[:, k] == edges[-1], n - 1, along)
+            inside &= (along >= 0) & (along < n)
+            place = place * n + along
+        return np.where(inside, place, -1)
 
 
 _ROUNDING = 5e-7  # four times float32's: what a few operations near an edge may be off by

@@ -78,7 +78,7 @@ class Twice(eqx.Module):
         def log_p(x: Array) -> Array:
             return jnp.stack([still(technique.log_prob(x)) for technique in self.target.techniques])
 
-        return jnp.max(jnp.abs(jax.jacfwd(log_p)(x) * x))
+        return jnp.max(jnp.abs(jax.jacfwd(log_p)(x) * x[None]))
 
     def _propose(self, state: State, uw: Float[Array, " d"]) -> Proposal:
         proposal = self.move.propose(self.target, state, uw[self.target.dim_u :])

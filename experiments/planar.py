@@ -1,0 +1,389 @@
+"""The plane: each technique's contract, jumps between techniques against exact cells, and three maps of one disk."""
+
+import itertools
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import emcee
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from rich.box import SIMPLE
+from rich.table import Table
+
+import mcmc1d
+from experiments.support.framework import Claim, Progress
+from mcmc1d import verify
+from mcmc1d.moves import AimedJump, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
+from mcmc1d.moves.multiple_try import by_target
+from mcmc1d.planar_histogram import Histogram2D, planar_joint_masses
+from mcmc1d.quadrature import integrate_plane
+from mcmc1d.targets import Ring, Target
+from mcmc1d.targets.planar import board, two_ridges
+from mcmc1d.techniques import ConcentricDisk, MarginalConditional, PolarDisk, Rectangle, Technique
+from mcmc1d.techniques.planar import EXAMPLES, outlines
+from mcmc1d.verify.goodness import p_value, smallest_gap, total_variation
+from mcmc1d.verify.mutants.jumps import no_jacobian
+
+
+@dataclass(frozen=True)
+class Config:
+    """The experiment's numbers."""
+
+    sigma: float = 0.1
+    """Of the small step in u."""
+    jump: float = 0.4
+    """Probability that a step is a jump."""
+    cells: int = 32
+    """A side of the histograms."""
+    chains: int = 2**12
+    steps: int = 256
+    blocks: int = 32
+    replicas: int = 2**13
+    """Of a verification's first stage."""
+    points: int = 300
+    """Random points of a contract, besides all edges."""
+    trace_chains: int = 512
+    trace_steps: int = 1500
+
+
+PROFILES = {
+    "quick": Config(),
+    "paper": Config(chains=2**15, steps=4096, replicas=2**18, points=10_000, trace_steps=10_000),
+}
+
+TARGETS: dict[str, Target] = {"ring": Ring(), "board": board()}
+CASES = (
+    ("ring", "reversible jump"),
+    ("ring", "no Jacobian"),
+    ("ring", "aimed jump"),
+    ("board", "reversible jump"),
+    ("board", "no Jacobian"),
+    ("board", "multiple-try"),
+)
+"""Reversible jumps are put to `verify` as well."""
+_COARSE = 8  # cells a side of the test of last states
+LEVEL = 1e-6
+"""Of the test of the chains' last states, which are independent: each chain starts as an exact draw."""
+MAPS: dict[str, Technique] = {
+    # A disk around the unit square, so that each of the three makes all of it.
+    "polar": PolarDisk((0.5, 0.5), 0.7072),
+    "concentric": ConcentricDisk((0.5, 0.5), 0.7072),
+    "uniform": Rectangle(),
+}
+WALKED: dict[str, Target] = {"ring": Ring(), "ridges": two_ridges()}
+
+
+def multiplexed(target: Target) -> mcmc1d.Multiplexed:
+    """A coarse table of the target's own masses, and a disk."""
+    edges = np.linspace(0, 1, 6)
+    table = MarginalConditional(target.bin_masses((edges, edges)) + 0.002)
+    return mcmc1d.Multiplexed(target, (table, ConcentricDisk((0.5, 0.5), 0.45)))
+
+
+def moves(config: Config) -> dict[str, Move]:
+    """Small steps with one kind of jump, and multiple-try of small steps with a change of technique."""
+    small = SmallStep(config.sigma)
+    jumps = {
+        "reversible jump": ReversibleJump(),
+        "aimed jump": AimedJump(),
+        "no Jacobian": no_jacobian(ReversibleJump()),
+    }
+    mixed: dict[str, Move] = {
+        name: Mixture({"small": (1 - config.jump, small), "jump": (config.jump, jump)}) for name, jump in jumps.items()
+    }
+    return mixed | {"multiple-try": MultipleTry(StepAndChange(small), 3, by_target)}
+
+
+def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+    """Contracts, verifications, histograms of right and wrong jumps, autocorrelation of three maps."""
+    contracts = both_cores(partial(_contract, config), EXAMPLES.values(), partial(progress, "contracts"))
+    targets = {name: multiplexed(target) for name, target in TARGETS.items()}
+    kernels = moves(config)
+
+    def verified(target: mcmc1d.Multiplexed) -> verify.Report:
+        return verify.verify(kernels["reversible jump"], target, replicas=config.replicas, seed=seed)
+
+    reports = both_cores(verified, targets.values(), partial(progress, "verify"))
+    edges, coarse = np.linspace(0, 1, config.cells + 1), np.linspace(0, 1, _COARSE + 1)
+    masses = {name: target.bin_masses((edges, edges)) for name, target in TARGETS.items()}
+    joint = {name: planar_joint_masses(target, coarse, coarse) for name, target in targets.items()}
+
+    def histogram(k: int) -> tuple[np.ndarray, np.ndarray, float]:
+        name, move = CASES[k]
+        result = mcmc1d.run(
+            jax.random.fold_in(jax.random.key(seed), k),
+            kernels[move],
+            targets[name],
+            steps=config.steps,
+            chains=config.chains,
+            blocks=config.blocks,
+            estimators={"x": Histogram2D(edges, edges)},
+        )
+        return result.mean("x"), result.standard_error("x"), _last(targets[name], result.state, joint[name], coarse)
+
+    found, error, p = zip(*both_cores(histogram, range(len(CASES)), partial(progress, "histograms")), strict=True)
+    times, spread, distance, chance = _maps(config, seed, progress)
+    return xr.Dataset(
+        {
+            "contract": ("technique", [passed for passed, _, _ in contracts]),
+            "contract_error": ("technique", [worst for _, worst, _ in contracts]),
+            "integral_error": ("technique", [off for _, _, off in contracts]),
+            "verdict": ("target", [report.verdict.value for report in reports]),
+            "p_value": ("target", [report.p_value for report in reports]),
+            "gap": ("target", [report.gap for report in reports]),
+            "exact": (("target", "x", "y"), [masses[name] / masses[name].sum() for name in TARGETS]),
+            "found": (("case", "x", "y"), list(found)),
+            "error": (("case", "x", "y"), list(error)),
+            "p_last": ("case", list(p)),
+            "gap_last": smallest_gap(config.chains, LEVEL),
+            "time": (("walked", "chart", "coordinate"), times),
+            "time_error": (("walked", "chart", "coordinate"), spread),
+            "map_distance": (("walked", "chart"), distance),
+            "map_chance": (("walked", "chart"), chance),
+        },
+        {
+            "technique": list(EXAMPLES),
+            "target": list(TARGETS),
+            "case": [f"{move}, {name}" for name, move in CASES],
+            "walked": list(WALKED),
+            "chart": list(MAPS),
+        },
+    )
+
+
+def _last(target: mcmc1d.Multiplexed, state: mcmc1d.State, joint: np.ndarray, edges: np.ndarray) -> float:
+    """The p-value of the chains' last states on a few cells of each technique, all of them lit."""
+    x, index = np.asarray(jax.vmap(target.evaluate)(state).seen.x), np.asarray(state.index)
+    counts = np.stack([np.histogramdd(x[index == i], [edges, edges])[0] for i in range(len(joint))])
+    lit = joint > 0
+    return p_value(counts[lit], joint[lit]) if counts[~lit].sum() == 0 else 0.0
+
+
+def both_cores(work: Callable[[Any], Any], items: Iterable, progress: Callable[[int, int], None]) -> list[Any]:
+    """`work` on each item, two at once: most of it is compiling, which takes one core."""
+    todo, done = list(items), itertools.count(1)
+
+    def one(item: Any) -> Any:
+        result = work(item)
+        progress(next(done), len(todo))
+        return result
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(one, todo))
+
+
+def _contract(config: Config, technique: Technique) -> tuple[bool, float, float]:
+    """Whether it passes in float64, its largest error as a share of the tolerance there, the integral's error."""
+    report = verify.check_technique(technique, points=config.points, dtypes=(np.float64,))
+    equations = [check for check in report.checks if "=" in check.equation]
+    lower, upper = (np.asarray(corner, np.float64) for corner in technique.support)
+    sides = [np.linspace(lower[k], upper[k], 5) for k in range(2)]
+    masses, _ = integrate_plane(lambda x: jnp.exp(technique.log_prob(x)), sides[0], sides[1], outlines(technique))
+    return report.passed, max(check.error / check.tolerance for check in equations), float(abs(masses.sum() - 1))
+
+
+def _maps(config: Config, seed: int, progress: Progress) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Autocorrelation times of small steps through each map, their errors, TV of each histogram and that of chance."""
+    edges, groups = np.linspace(0, 1, 9), 8
+    exact = {name: target.bin_masses((edges, edges)) for name, target in WALKED.items()}
+
+    def walk(k: int) -> tuple[np.ndarray, np.ndarray, float, float]:
+        walked, chart = list(WALKED)[k // len(MAPS)], list(MAPS)[k % len(MAPS)]
+        x = planar(
+            mcmc1d.trace(
+                jax.random.fold_in(jax.random.key(seed), 100 + k),
+                SmallStep(config.sigma),
+                mcmc1d.Multiplexed(WALKED[walked], MAPS[chart]),
+                steps=config.trace_steps,
+                chains=config.trace_chains,
+            ).x
+        )
+        parts = np.split(x, groups, axis=1)
+        each = [emcee.autocorr.integrated_time(part, tol=0) for part in parts]
+        counts = [np.histogramdd(part.reshape(-1, 2), [edges, edges])[0] for part in parts]
+        shares, law = np.array(counts) / np.sum(counts[0]), exact[walked] / exact[walked].sum()
+        return (
+            np.mean(each, axis=0),
+            np.std(each, axis=0, ddof=1) / np.sqrt(groups),
+            total_variation(shares.mean(0), law),
+            expected_distance(shares.std(0, ddof=1) / np.sqrt(groups)),
+        )
+
+    found = both_cores(walk, range(len(WALKED) * len(MAPS)), partial(progress, "three maps"))
+    shape = (len(WALKED), len(MAPS))
+    times, spread, distance, chance = (np.array(part) for part in zip(*found, strict=True))
+    return times.reshape(*shape, 2), spread.reshape(*shape, 2), distance.reshape(shape), chance.reshape(shape)
+
+
+def planar(x: np.ndarray) -> np.ndarray:
+    """A trace's x as (steps, chains, 2); the runner keeps the chains last."""
+    return x if x.shape[-1] == 2 else np.moveaxis(x, 1, -1)
+
+
+def expected_distance(error: np.ndarray) -> float:
+    """The total variation that normal errors of these standard deviations make, on average."""
+    return float(np.sqrt(2 / np.pi) * error.sum() / 2)
+
+
+def draw(data: xr.Dataset) -> Figure:
+    """A row for each target: exact, sampled, and the errors of the right jump and of the one without its Jacobian."""
+    figure, axes = plt.subplots(len(TARGETS), 4, figsize=(7.0, 3.2), sharex=True, sharey=True)
+    for row, target in zip(axes, data.target.to_numpy(), strict=True):
+        here = data.sel(target=target)
+        exact = here.exact.to_numpy()
+        cells = exact.size
+        top = 1.05 * float(exact.max()) * cells
+        right, wrong = (data.sel(case=f"{move}, {target}") for move in ("reversible jump", "no Jacobian"))
+        for axis, values in ((row[0], exact), (row[1], right.found.to_numpy())):
+            shown = axis.imshow(values.T * cells, origin="lower", extent=(0, 1, 0, 1), vmin=0, vmax=top, cmap="viridis")
+        figure.colorbar(shown, ax=list(row[:2]), label="density", shrink=0.9, aspect=25)
+        for axis, run, limit in ((row[2], right, 5), (row[3], wrong, 20)):
+            error = run.error.to_numpy()
+            off = run.found.to_numpy() - exact
+            # Grey: holes, and cells so dark that the error of their few hits is far from normal.
+            z = np.divide(off, error, out=np.full_like(error, np.nan), where=exact * cells > 0.05)
+            axis.set_facecolor("0.75")
+            shown = axis.imshow(z.T, origin="lower", extent=(0, 1, 0, 1), vmin=-limit, vmax=limit, cmap="RdBu_r")
+            figure.colorbar(shown, ax=axis, label="error / s.e.", shrink=0.9, aspect=25)
+        row[0].set_ylabel(f"{target}\n$x_1$")
+    titles = ("exact", "sampled by jumps", "error, right jump", "error, no Jacobian")
+    for axis, title in zip(axes[0], titles, strict=True):
+        axis.set_title(title)
+    for axis in axes[-1]:
+        axis.set_xlabel("$x_0$")
+    for axis in axes.ravel():
+        axis.set_xticks([0, 0.5, 1], ["0", "½", "1"])
+        axis.set_yticks([0, 0.5, 1], ["0", "½", "1"])
+        axis.spines[:].set_visible(False)
+    return figure
+
+
+def table(data: xr.Dataset) -> Table:
+    """Contracts, verdicts, distances and autocorrelation times."""
+    result = Table("what", "where", "found", "held to", box=SIMPLE, padding=0)
+    result.title = "planar: contracts, verdicts, total variation (by chance), autocorrelation times"
+    for name in data.technique.to_numpy():
+        here = data.sel(technique=name)
+        passed = "passes" if here.contract else "FAILS"
+        result.add_row("contract", name, f"{passed}, {float(here.contract_error):.1e} of", "1e-10 x condition")
+    for target in data.target.to_numpy():
+        here = data.sel(target=target)
+        found = f"{here.verdict.to_numpy()}, p {float(here.p_value):.2g}"
+        result.add_row("verify", f"reversible jump, {target}", found, f"CDF gap {float(here.gap):.3f}")
+    for case in data.case.to_numpy():
+        distance, chance = _distance(data, case)
+        found = f"{distance:.4f}, last states p {float(data.p_last.sel(case=case)):.2g}"
+        result.add_row("TV", str(case), found, f"{chance:.4f}")
+    for walked in data.walked.to_numpy():
+        for name in data.chart.to_numpy():
+            here = data.sel(walked=walked, chart=name)
+            pairs = zip(here.time.to_numpy(), here.time_error.to_numpy(), strict=True)
+            times = ", ".join(f"{time:.1f} ± {error:.1f}" for time, error in pairs)
+            tv = f"{float(here.map_distance):.4f} ({float(here.map_chance):.4f})"
+            result.add_row("time", f"{name} on {walked}", times, f"TV {tv}")
+    return result
+
+
+def _distance(data: xr.Dataset, case: str) -> tuple[float, float]:
+    """The total variation from the exact law, and that which chance makes."""
+    here = data.sel(case=case)
+    exact = data.exact.sel(target=str(case).partition(", ")[2]).to_numpy()
+    return total_variation(here.found.to_numpy(), exact), expected_distance(here.error.to_numpy())
+
+
+def judge(data: xr.Dataset) -> list[Claim]:
+    """What is right is accepted, what is wrong is off by more than chance; the maps differ in time and not in law."""
+    worst = data.technique.to_numpy()[int(np.argmax(data.contract_error.to_numpy()))]
+    passed, off = bool(data.contract.all()), float(data.integral_error.max())
+    claims = [
+        Claim(
+            "planar.contracts",
+            "Planar techniques invert, and their determinants are their densities",
+            "ours; Shirley and Chiu 1997 (concentric map)",
+            "holds" if passed and off < 1e-9 else "fails",
+            "holds",
+            f"{data.sizes['technique']} of them, worst error {float(data.contract_error.max()):.1e} of its "
+            f"tolerance ({worst}); integrals off by {off:.1e} at most",
+            "1e-10 times the condition number, at random points and all edges; integrals 1e-9",
+        )
+    ]
+    for name, move in CASES:
+        case, target = f"{move}, {name}", data.sel(target=name)
+        distance, chance = _distance(data, case)
+        p = float(data.p_last.sel(case=case))
+        held = f"last states: level {LEVEL:.0e}, a CDF gap of {float(data.gap_last):.3f} seen with probability 0.99"
+        if move == "no Jacobian":
+            claims.append(
+                Claim(
+                    f"planar.no-jacobian-{name}",
+                    f"In the plane too, a jump without its Jacobian has a wrong law ({name})",
+                    "Bitterli et al. 2017, sec. 7.1",
+                    "holds" if p < LEVEL else "fails",
+                    "holds",
+                    f"TV {distance:.4f} (chance makes {chance:.4f}), p {p:.1g}",
+                    held,
+                )
+            )
+            continue
+        right, number = p >= LEVEL, f"TV {distance:.4f} (chance makes {chance:.4f}), last states p {p:.2g}"
+        if move == "reversible jump":
+            verdict = str(target.verdict.to_numpy())
+            right = right and verdict == "PASS"
+            number = f"{verdict}, p {float(target.p_value):.2g}; {number}"
+            held = f"verify: level 1e-5, a CDF gap of {float(target.gap):.3f}; {held}"
+        claims.append(
+            Claim(
+                f"planar.{move.replace(' ', '-')}-{name}",
+                f"In the plane, {'multiple-try' if move == 'multiple-try' else f'the {move}'} keeps the law ({name})",
+                "Segovia et al. 2007, sec. 5.1" if move == "multiple-try" else "Bitterli et al. 2017, eqs. 14, 19",
+                "holds" if right else "fails",
+                "holds",
+                number,
+                held,
+            )
+        )
+    return [*claims, *_map_claims(data)]
+
+
+def _map_claims(data: xr.Dataset) -> list[Claim]:
+    ratio = float((data.map_distance / data.map_chance).max())
+    claims = [
+        Claim(
+            "planar.maps-law",
+            "Polar, concentric and uniform maps of one domain give small steps one law",
+            "Shirley and Chiu 1997; ours",
+            "holds" if ratio < 2 else "fails",
+            "holds",
+            f"TV from the exact law {float(data.map_distance.max()):.4f} at most, {ratio:.2f} times what chance makes",
+            "twice what chance makes on average, 64 cells",
+        )
+    ]
+    for walked in data.walked.to_numpy():
+        here = data.sel(walked=walked)
+        slow = [int(np.argmax(here.sel(chart=name).time.to_numpy())) for name in ("polar", "concentric")]
+        times = [float(here.time.sel(chart=name)[k]) for name, k in zip(("polar", "concentric"), slow, strict=True)]
+        errors = [
+            float(here.time_error.sel(chart=name)[k]) for name, k in zip(("polar", "concentric"), slow, strict=True)
+        ]
+        apart = abs(times[0] - times[1]) / np.hypot(errors[0], errors[1])
+        uniform = float(here.time.sel(chart="uniform").max())
+        claims.append(
+            Claim(
+                f"planar.maps-time-{walked}",
+                f"The map decides how fast small steps in u mix ({walked})",
+                "ours; Shirley and Chiu 1997",
+                "holds" if apart > 6 else "fails",
+                "holds",
+                f"autocorrelation time, slower coordinate: polar {times[0]:.1f} ± {errors[0]:.1f}, concentric "
+                f"{times[1]:.1f} ± {errors[1]:.1f}, uniform {uniform:.1f}",
+                "6 standard errors between polar and concentric (8 groups)",
+            )
+        )
+    return claims
