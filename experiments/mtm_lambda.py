@@ -1,0 +1,448 @@
+"""Multiple-try: which weights, competitors and perturbations keep the law, and how far off the others are."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from rich.box import SIMPLE
+from rich.table import Table
+
+import mcmc1d
+from experiments.support.framework import Claim, Progress
+from mcmc1d.metropolis import Metropolis
+from mcmc1d.moves import LinearStep, Move, MultipleTry, Rotated, SmallStep, Stratified, TruncatedStep, UniformStep
+from mcmc1d.moves.candidates import Candidates, Reverse, insert
+from mcmc1d.moves.multiple_try import SymmetricLambda, by_importance, by_target, evenly
+from mcmc1d.targets import FromFunction, GaussianMixture
+from mcmc1d.techniques import Uniform
+from mcmc1d.types import Index
+from mcmc1d.verify import RingStep, enumerate_kernel, ring, transition_operator, verify
+from mcmc1d.verify.goodness import total_variation
+from mcmc1d.verify.mutants.base import WrongMove
+from mcmc1d.verify.mutants.jumps import WrongDeterminant
+
+SOURCE = "Segovia et al. 2007"
+
+
+@dataclass(frozen=True)
+class Config:
+    """The experiment's numbers."""
+
+    sigma: float = 0.2
+    """Of the clamped Gaussian on the line."""
+    bins: int = 20
+    cells: int = 100
+    points: int = 2**13
+    """Of a net for the operator of a perturbation, of which there are two."""
+    law_points: int = 2**16
+    """Of a net for the law with and without the normaliser."""
+    chains: int = 2**14
+    """Whose acceptance is averaged, in one step from exact starts."""
+    replicas: int = 2**14
+    level: float = 1e-5
+
+
+PROFILES = {"quick": Config(), "paper": Config(cells=400, points=2**18, law_points=2**19, chains=2**20, replicas=2**17)}
+
+F = (1.0, 3.0, 0.5, 2.0, 4.0, 1.5)
+CHANCES = {1: 0.5, -1: 0.25, 3: 0.25}
+"""Lopsided, and with q(y given x) q(x given y) not the same for all pairs: 1 and 1/(qq) are different lambdas."""
+RING_STEP = RingStep(len(F), CHANCES)
+SIZES = (0.06, 0.12, 0.18, 0.25)
+SHAPES: dict[str, Callable[[float], Move]] = {
+    "Gaussian": SmallStep,
+    "uniform": lambda sigma: UniformStep(sigma * np.sqrt(12)),
+    "linear": lambda sigma: LinearStep(sigma * np.sqrt(24)),
+}
+TRIES = (1,)
+CLAMPED = ("with", "without", "without, p = 4")
+LINE = mcmc1d.Multiplexed(GaussianMixture([0.1, 0.45, 0.9], [0.08, 0.06, 0.12], [0.5, 0.2, 0.3]), Uniform())
+
+
+def _log_qq(x: mcmc1d.State, y: mcmc1d.State) -> jax.Array:
+    """The log of q(y given x) q(x given y) on the ring."""
+    n = len(F)
+    chances = np.array([CHANCES.get(k, 0) + CHANCES.get(k - n, 0) for k in range(n)])
+    table = np.log(np.maximum(chances * chances[-np.arange(n)], 1e-300))
+    offset = jnp.round((y.u[0] - x.u[0]) * n).astype(jnp.int32) % n
+    return jnp.asarray(table, x.u.dtype)[offset]
+
+
+SYMMETRIC = {
+    "1": SymmetricLambda(lambda x, y: 0.5 * _log_qq(x, y)),
+    "1/(qq)": SymmetricLambda(lambda x, y: -0.5 * _log_qq(x, y)),
+    "1/sqrt(qq)": by_importance,
+    "exp(cos 7(x-y) + xy)": SymmetricLambda(lambda x, y: jnp.cos(7 * (x.u[0] - y.u[0])) + x.u[0] * y.u[0]),
+}
+
+
+def _tilted(x: mcmc1d.State, y: mcmc1d.State, log_ratio: jax.Array) -> jax.Array:
+    """Lambda = exp(2 y) / sqrt(qq), which is not symmetric."""
+    return by_importance(x, y, log_ratio) + 2 * y.u[0]
+
+
+ASYMMETRIC = {"equal weights": evenly, "exp(2y)/sqrt(qq)": _tilted}
+
+
+class Unchecked(WrongMove):
+    """A multiple-try that `check` would refuse."""
+
+    right: MultipleTry
+
+    def check(self, target: mcmc1d.Multiplexed) -> None:
+        """Nothing is refused."""
+
+
+class OtherStrata(Candidates):
+    """Stratified candidates; the competitors in all strata but the chosen one's, wherever the way back lies."""
+
+    def dim(self, p: int, r: int) -> int:
+        return Stratified().dim(p, r)
+
+    def forth(self, p: int, r: int, w: jax.Array) -> jax.Array:
+        return Stratified().forth(p, r, w)
+
+    def back(self, p: int, r: int, w: jax.Array, k: Index, number: jax.Array) -> Reverse:
+        rows = insert(w.reshape(2 * p - 1, r)[p:], number, k)
+        return Reverse(Stratified().forth(p, r, rows.ravel()).at[k].set(number), k, w)
+
+
+class FreshCompetitors(Candidates):
+    """Quasi-random candidates, and competitors that are independent of where the way back lies."""
+
+    def dim(self, p: int, r: int) -> int:
+        return p * r
+
+    def forth(self, p: int, r: int, w: jax.Array) -> jax.Array:
+        return Rotated().forth(p, r, w[:r])
+
+    def back(self, p: int, r: int, w: jax.Array, k: Index, number: jax.Array) -> Reverse:
+        return Reverse(insert(w[r:].reshape(p - 1, r), number, k), k, w)
+
+
+def _stationary(matrix: np.ndarray) -> np.ndarray:
+    """The law that a matrix keeps."""
+    equations = np.vstack([matrix.T - np.eye(len(matrix)), np.ones(len(matrix))])
+    return np.linalg.lstsq(equations, np.append(np.zeros(len(matrix)), 1.0), rcond=None)[0]
+
+
+def _rings() -> dict[str, tuple[Move, list[int | None]]]:
+    """What is enumerated: each kernel, and how its numbers are told apart."""
+    made: dict[str, tuple[Move, list[int | None]]] = {"Metropolis": (RING_STEP, [4, None])}
+    made["one candidate"] = MultipleTry(RING_STEP, 1), [4, None, None]
+    plan = [4, 4, 4, None, None]
+    for name, weight in SYMMETRIC.items():
+        made[f"R_g: {name}"] = MultipleTry(RING_STEP, 2, weight, ratio="R_g"), plan
+    for name, weight in ASYMMETRIC.items():
+        made[f"R_g: {name}"] = Unchecked(MultipleTry(RING_STEP, 2, weight, ratio="R_g")), plan
+        made[f"intervals: {name}"] = MultipleTry(RING_STEP, 2, weight), plan
+    made["strata: left free"] = MultipleTry(RING_STEP, 2, by_importance, Stratified()), [2, 2, 2, None, None]
+    made["strata: all but the chosen"] = MultipleTry(RING_STEP, 2, by_importance, OtherStrata()), [2, 2, 2, None, None]
+    made["quasi-random: rotated"] = MultipleTry(RING_STEP, 2, by_importance, Rotated()), [None, None, None]
+    made["quasi-random: independent"] = (
+        MultipleTry(RING_STEP, 2, by_importance, FreshCompetitors()),
+        [None, 4, None, None],
+    )
+    return made
+
+
+def _witnesses(config: Config) -> dict[str, Move]:
+    """Moves on the line for `verify`, the first one right and the others wrong."""
+    step = TruncatedStep(config.sigma)
+    odd = SYMMETRIC["exp(cos 7(x-y) + xy)"]
+    return {
+        "right": MultipleTry(step, 4, odd, Stratified(), ratio="R_g"),
+        "no normaliser": WrongDeterminant(step, jnp.zeros_like),
+        "lambda not symmetric": Unchecked(MultipleTry(step, 4, evenly, ratio="R_g")),
+        "other strata": MultipleTry(SmallStep(config.sigma / 2), 2, by_target, OtherStrata()),
+    }
+
+
+def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+    """The ring, enumerated; the clamped Gaussian by the operator; perturbations compared; witnesses by `verify`."""
+    target, states = ring(F)
+    rings = _rings()
+    found = {}
+    for k, (name, (move, plan)) in enumerate(rings.items()):
+        # A break that is bisected shows only where what changes is chosen: it is looked for at many selectors.
+        probes, inner = (17, 128) if plan[0] is None else (33, 8)
+        found[name] = enumerate_kernel(Metropolis(move), target, states, plan, probes=probes, inner=inner)
+        progress("enumeration", k + 1, len(rings))
+    refused = 0
+    for weight in ASYMMETRIC.values():
+        try:
+            MultipleTry(RING_STEP, 2, weight, ratio="R_g").check(target)
+        except ValueError:
+            refused += 1
+    data = {
+        "ring_tv": ("ring", [total_variation(_stationary(e.matrix), e.law) for e in found.values()]),
+        "ring_residual": ("ring", [e.residual for e in found.values()]),
+        "one_gap": np.abs(found["one candidate"].matrix - found["Metropolis"].matrix).max(),
+        "refused": refused,
+    }
+    verdicts = {}
+    for k, (name, move) in enumerate(_witnesses(config).items()):
+        verdicts[name] = verify(move, LINE, seed=seed, replicas=config.replicas, level=config.level, name=name)
+        progress("witnesses", k + 1, len(_witnesses(config)))
+    data["passed"] = ("witness", [report.passed for report in verdicts.values()])
+    data["first_p"] = ("witness", [report.p_value for report in verdicts.values()])
+    return xr.Dataset(
+        {**data, **_clamped(config, progress), **_shapes(config, seed, progress)},
+        {
+            "ring": list(rings),
+            "witness": list(verdicts),
+            "shape": list(SHAPES),
+            "sd": list(SIZES),
+            "tries": list(TRIES),
+            "bin": (np.arange(config.bins) + 0.5) / config.bins,
+        },
+        {"level": config.level, "replicas": config.replicas},
+    )
+
+
+def _clamped(config: Config, progress: Progress) -> dict[str, Any]:
+    """The law with and without the normaliser, by the operator, beside f and the f Z that theory predicts."""
+    edges = np.linspace(0, 1, config.bins + 1)
+    step = TruncatedStep(config.sigma)
+    with jax.enable_x64(True):
+        without = FromFunction(lambda x: jnp.exp(LINE.target.log_f(x) + step.log_normaliser(x)))
+        masses = [each.bin_masses(edges) for each in (LINE.target, without)]
+    wrong = WrongDeterminant(step, jnp.zeros_like)
+    moves = dict(zip(CLAMPED, (step, wrong, MultipleTry(wrong, 4, by_target)), strict=True))
+    laws = []
+    for k, move in enumerate(moves.values()):
+        operator = transition_operator(move, LINE, u_cells=config.cells, x_cells=1, points=config.law_points)
+        laws.append(operator.law_of(edges).masses[0])
+        progress("clamped Gaussian", k + 1, len(moves))
+    return {
+        "exact": ("bin", masses[0] / masses[0].sum()),
+        "predicted": ("bin", masses[1] / masses[1].sum()),
+        "clamped": (("normaliser", "bin"), np.array(laws)),
+        "normaliser": list(moves),
+    }
+
+
+def _shapes(config: Config, seed: int, progress: Progress) -> dict[str, Any]:
+    """Each perturbation at each size: its acceptance at the best, and the error of a histogram at equal work, exactly.
+
+    Autocorrelation: the mean over the bins of their indicators' integrated autocorrelation times, each counted by its
+    variance; the error at equal work is the root of that times the evaluations a step, independent samples' being 1.
+    """
+    shape = (len(SHAPES), len(SIZES), len(TRIES))
+    acceptance, time = np.zeros((shape[0], shape[2])), np.zeros(shape)
+    for i, k in np.ndindex(acceptance.shape):
+        steps = [list(SHAPES.values())[i](size) for size in SIZES]
+        moves = [step if TRIES[k] == 1 else MultipleTry(step, TRIES[k]) for step in steps]
+        for j, move in enumerate(moves):
+            operator = transition_operator(move, LINE, u_cells=config.cells, x_cells=1, points=config.points)
+            time[i, j, k] = _time(operator, config.bins)
+            progress("perturbations", (i * len(TRIES) + k) * len(SIZES) + j + 1, time.size)
+        chains = mcmc1d.run(
+            jax.random.key(seed),
+            moves[int(time[i, :, k].argmin())],
+            LINE,
+            steps=1,
+            chains=config.chains,
+            blocks=1,
+            estimators={"acceptance": mcmc1d.Acceptance()},
+        )
+        acceptance[i, k] = next(iter(chains.acceptance().values()))
+    work = np.array([2 * tries - 1 for tries in TRIES])
+    where = ("shape", "sd", "tries")
+    return {"rate": (("shape", "tries"), acceptance), "time": (where, time), "error": (where, np.sqrt(time * work))}
+
+
+def _time(operator: Any, bins: int) -> float:
+    """The sum of the bins' asymptotic variances over that of their variances, from the fundamental matrix."""
+    p, mu = operator.matrix.toarray(), operator.stationary()
+    inside = np.repeat(np.eye(bins), len(mu) // bins, axis=0)
+    g = inside - mu @ inside
+    variance = float(mu @ (g * g).sum(1))
+    z = np.linalg.solve(np.eye(len(mu)) - p + mu, g)
+    return 2 * float(mu @ (g * z).sum(1)) / variance - 1
+
+
+def draw(data: xr.Dataset) -> Figure:
+    """Total variation of each kernel's law; the law without the normaliser; perturbations compared."""
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(7.0, 2.6), width_ratios=(1, 1, 1.1))
+    names = [str(name) for name in data.ring.to_numpy() if ":" in str(name)]
+    off = np.maximum(data.ring_tv.sel(ring=names).to_numpy(), 1e-17)
+    places = np.arange(len(names))[::-1]
+    left.scatter(off, places, s=12, c=np.where(off < 1e-12, "C2", "C1"))
+    left.axvline(1e-12, color="grey", linewidth=0.6, linestyle=":")
+    left.set(xscale="log", xlim=(3e-18, 3), xlabel="total variation of the law, by enumeration")
+    left.set_yticks(places, names, fontsize=5.5)
+    left.set_xticks([1e-16, 1e-12, 1e-8, 1e-4, 1])
+    left.minorticks_off()
+    x, exact = data.bin.to_numpy(), data.exact.to_numpy()
+    middle.plot(x, data.predicted / exact, color="C1", label="f Z, predicted")
+    marks = {"without": ("C1", "o"), "without, p = 4": ("C3", "x"), "with": ("C2", "o")}
+    for name, (colour, mark) in marks.items():
+        middle.plot(
+            x,
+            data.clamped.sel(normaliser=name) / exact,
+            mark,
+            color=colour,
+            markersize=3,
+            markerfacecolor="none",
+            label=name,
+        )
+    middle.set(xlabel="x", ylabel="law / target's law", ylim=(0.5, 1.5), title="clamped Gaussian's normaliser")
+    middle.legend(fontsize=5.5, ncols=2, loc="upper center")
+    for k, shape in enumerate(data.shape.to_numpy()):
+        for tries, line in zip(TRIES, ("-",), strict=True):
+            label = str(shape) if tries == 1 else None
+            right.plot(data.sd, data.error.sel(shape=shape, tries=tries), line, color=f"C{k}", label=label)
+    right.set(xlabel="standard deviation of the step", ylabel="error at equal work", yscale="log")
+    right.set_yticks([1.5, 2, 3, 4, 5], ["1.5", "2", "3", "4", "5"])
+    right.minorticks_off()
+    right.set_title("independent samples: 1", fontsize=6)
+    right.legend(fontsize=5.5)
+    return figure
+
+
+def table(data: xr.Dataset) -> Table:
+    """Each perturbation at its best size."""
+    result = Table("perturbation", "candidates", "best size", "acceptance", "autocorrelation time", "error", box=SIMPLE)
+    result.title = "mtm_lambda: perturbations, each at its best size; error of a histogram at equal work"
+    for shape in data.shape.to_numpy():
+        for tries in TRIES:
+            here = data.sel(shape=shape, tries=tries)
+            best = here.isel(sd=int(here.error.to_numpy().argmin()))
+            result.add_row(str(shape), str(tries), *(f"{float(best[n]):.3g}" for n in ("sd", "rate", "time", "error")))
+    return result
+
+
+def judge(data: xr.Dataset) -> list[Claim]:
+    """Symmetric lambdas, one candidate, any weights in the intervals form, competitors, normalisers, perturbations."""
+    off = dict(zip((str(name) for name in data.ring.to_numpy()), data.ring_tv.to_numpy(), strict=True))
+    residual = dict(zip(off, data.ring_residual.to_numpy(), strict=True))
+    passed = dict(zip(data.witness.to_numpy(), data.passed.to_numpy(), strict=True))
+    symmetric = max(residual[f"R_g: {name}"] for name in SYMMETRIC)
+    intervals = max(residual[f"intervals: {name}"] for name in ASYMMETRIC)
+    lopsided = {name: off[f"R_g: {name}"] for name in ASYMMETRIC}
+    exact = data.exact.to_numpy()
+    laws = {str(name): data.clamped.sel(normaliser=name).to_numpy() for name in data.normaliser.to_numpy()}
+    right = total_variation(laws["with"], exact)
+    apart = max(total_variation(laws[f"without{p}"], data.predicted.to_numpy()) for p in ("", ", p = 4"))
+    wrong = total_variation(data.predicted.to_numpy(), exact)
+    best = data.error.min("sd")
+    shapes = {str(s): best.sel(shape=s).to_numpy() for s in data.shape.to_numpy()}
+    rivals = np.min([shapes["uniform"], shapes["linear"]], axis=0)
+    statistics = f"verify, level {data.level:.0e}, {data.replicas:,} replicas"
+    enumeration = "enumeration, p = 2, lopsided step; exact to 1e-12"
+
+    def claim(name: str, statement: str, source: str, holds: bool, expected: str, number: str, held: str) -> Claim:
+        return Claim(f"mtm.{name}", statement, source, "holds" if holds else "fails", expected, number, held)
+
+    return [
+        claim(
+            "symmetric-lambda",
+            f"Multiple-try keeps the law for every symmetric lambda ({len(SYMMETRIC)} of them) with the ratio R_g",
+            f"{SOURCE}, sec. 5.1; Liu, Liang, Wong 2000",
+            symmetric < 1e-12 and bool(passed["right"]),
+            "holds",
+            f"residual {symmetric:.1e}; on the line with stratified clamped candidates: PASS is {passed['right']}",
+            f"{enumeration}; {statistics}",
+        ),
+        claim(
+            "one-candidate",
+            "With one candidate it is Metropolis",
+            f"{SOURCE}, sec. 5.1",
+            float(data.one_gap) < 1e-12,
+            "holds",
+            f"the matrices differ by {float(data.one_gap):.1e}",
+            "enumeration, 1e-12",
+        ),
+        claim(
+            "asymmetric-lambda",
+            "R_g keeps the law with a lambda that is not symmetric",
+            f"ours; {SOURCE}, sec. 5.1",
+            max(lopsided.values()) < 1e-12,
+            "fails",
+            "TV "
+            + ", ".join(f"{value:.4f} ({name})" for name, value in lopsided.items())
+            + f"; `check` refuses {int(data.refused)} of {len(ASYMMETRIC)}; caught on the line: "
+            f"{not passed['lambda not symmetric']}",
+            f"{enumeration}; {statistics}",
+        ),
+        claim(
+            "intervals",
+            "With the selector's interval in the determinant any weights keep it, equal ones too",
+            "Pandolfi, Bartolucci, Friel 2010",
+            intervals < 1e-12,
+            "holds",
+            f"residual {intervals:.1e}",
+            enumeration,
+        ),
+        claim(
+            "strata-all-but-chosen",
+            "Stratified candidates, with competitors in all strata but the chosen one's, keep the law",
+            f"{SOURCE}, sec. 6.2; Craiu and Lemieux 2007",
+            off["strata: all but the chosen"] < 1e-12,
+            "fails",
+            f"TV {off['strata: all but the chosen']:.4f}; caught on the line: {not passed['other strata']}",
+            f"{enumeration}; {statistics}",
+        ),
+        claim(
+            "strata-left-free",
+            "With competitors in the strata that the way back leaves free they do",
+            "ours; Craiu and Lemieux 2007",
+            residual["strata: left free"] < 1e-12,
+            "holds",
+            f"residual {residual['strata: left free']:.1e}",
+            enumeration,
+        ),
+        claim(
+            "quasi-random-independent",
+            "Quasi-random candidates with independent competitors keep the law",
+            f"{SOURCE}, sec. 6.3; Craiu and Lemieux 2007",
+            off["quasi-random: independent"] < 1e-12,
+            "fails",
+            f"TV {off['quasi-random: independent']:.4f}",
+            enumeration,
+        ),
+        claim(
+            "quasi-random-rotated",
+            "With competitors of the rotation that leads back they do",
+            "ours; Craiu and Lemieux 2007",
+            residual["quasi-random: rotated"] < 1e-12,
+            "holds",
+            f"residual {residual['quasi-random: rotated']:.1e}",
+            enumeration,
+        ),
+        claim(
+            "clamped-without",
+            "A clamped Gaussian without its normaliser keeps the law",
+            f"{SOURCE}, sec. 6.1",
+            wrong < 1e-3,
+            "fails",
+            f"TV {wrong:.4f}: the law is f Z, to {apart:.1e} by the operator (p = 1, 4); caught on the line: "
+            f"{not passed['no normaliser']}",
+            f"quadrature, sigma 0.2; {statistics}",
+        ),
+        claim(
+            "clamped-with",
+            "With its normaliser in the ratio it does",
+            f"{SOURCE}, sec. 6.1",
+            right < 2e-3 and bool(passed["right"]),
+            "holds",
+            f"TV {right:.1e} from the exact law by the operator; on the line: PASS is {passed['right']}",
+            f"TV 2e-3; {statistics}",
+        ),
+        claim(
+            "shapes",
+            "Gaussian perturbations are more effective than uniform and linear ones, each at its best size",
+            f"{SOURCE}, sec. 6.1",
+            bool(np.all(shapes["Gaussian"] < 0.98 * rivals)),
+            "fails",
+            "error of a histogram at equal work: " + "; ".join(f"{name} {e[0]:.3f}" for name, e in shapes.items()),
+            "operator, at 2 % of a difference; sizes up to 0.25, on which all three are about alike",
+        ),
+    ]
