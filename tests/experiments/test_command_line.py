@@ -85,7 +85,7 @@ def test_list_names_experiments_and_fields():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "nonsense"], "no experiment 'nonsense'; known: calibration"),
+        (["run", "nonsense"], "no experiment 'nonsense'; known: adaptation"),
         (["run", "rjmlt_fig3", "--set", "sgima=1"], "no field 'sgima'; known: amplitude, sigma"),
         (["run", "rjmlt_fig3", "--set", "bins=many"], "'many' is not int"),
         (["run", "rjmlt_fig3", "--set", "sigma=-1"], "sigma must be positive"),
