@@ -126,8 +126,10 @@ def read(out: Path, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
 
 def markdown(claims: list[Claim]) -> list[str]:
     """The lines of the README's table."""
-    rows = [f"| `{c.id}` | {c.statement} | {c.source} | **{c.verdict}** | {c.number} | {c.tolerance} |" for c in claims]
-    return ["| id | claim | source | verdict | measured | held to |", "| --- | --- | --- | --- | --- | --- |", *rows]
+    cells = [(f"`{c.id}`", c.statement, c.source, f"**{c.verdict}**", c.number, c.tolerance) for c in claims]
+    rows = [" | ".join(cell.replace("|", r"\|") for cell in row) for row in cells]
+    head = ["| id | claim | source | verdict | measured | held to |", "| --- | --- | --- | --- | --- | --- |"]
+    return head + [f"| {row} |" for row in rows]
 
 
 def rewrite(document: Path, claims: list[Claim]) -> None:
