@@ -54,7 +54,9 @@ def cases() -> dict[str, Case]:
         "NumPy walk, 1D": Case(_host_walk(1.0), _host_walk(1.1), laws.normal(1), {}),
         "multiplexed MLT": Case(Mixture(steps), Mixture(steps | naive), hard_target(), {}),
         "reversible jumps": Case(Mixture(mixed), Mixture(wrong), hard_target(), {}),
-        "emcee, 3D": Case(_ensemble("StretchMove"), _ensemble("DESnookerMove"), laws.normal(3), {"gap": 0.02}),
+        "emcee, 3D": Case(
+            _ensemble("StretchMove"), _ensemble("DESnookerMove"), laws.normal(3), {"gap": 0.02, "seconds": 55.0}
+        ),
         "BlackJAX NUTS, 2D": Case(_nuts(banana, 1.0), _nuts(banana, 1.1), banana, {}),
     }
 
