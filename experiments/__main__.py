@@ -1,15 +1,16 @@
 """`python -m experiments`: list and run the experiments, show their claims."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Annotated
 
-import jax
 import typer
 from rich.console import Console
 
 from experiments.support import framework
 from experiments.support.progress import bars
+from experiments.support.sweep import Sweep, journal, keep_compiled
 
 app = typer.Typer(
     help="Reproduce the papers' experiments: figures, data and claims with verdicts.",
@@ -40,25 +41,33 @@ def run(
     seed: Annotated[int, typer.Option(help="The same seed gives the same numbers.")] = 0,
     out: Out = Path("figures"),
     set_: Annotated[list[str] | None, typer.Option("--set", help="Override a field: name=value, repeatable.")] = None,
+    jobs: Annotated[int, typer.Option(help="Processes that share a sweep's work, each pinned to a core.")] = 1,
+    resume: Annotated[bool, typer.Option("--resume", help="Take up what an interrupted run has left.")] = False,
 ) -> None:
     """Run experiments: write NAME.png, .pdf, .nc and .json; exit 1 where a verdict is not what theory predicts."""
     if bool(names) == all_:
         raise ValueError("name the experiments to run, or say --all")
     chosen = framework.names() if all_ else list(names or [])
     # Everything that can be wrong with the request is found before the first experiment spends its time.
-    jobs = []
+    todo = []
     for name in chosen:
         module = framework.load(name)
-        jobs.append((name, module, framework.configure(module, profile, set_ or [])))
+        todo.append((name, module, framework.configure(module, profile, set_ or [])))
     framework.require_writable(out)
     framework.style()
     surprises = []
-    for name, module, config in jobs:
-        with bars(errors) as progress:
-            data = module.run(config, seed, progress)
-        claims = module.judge(data)
-        record = framework.manifest(name, profile, config, seed, claims)
-        paths = framework.write(out, name, data, module.draw(data), record)
+    for name, module, config in todo:
+        kind = {"experiment": name, "config": dataclasses.asdict(config), "seed": seed}
+        with journal(out / f".{name}.journal", kind, resume) as kept:
+            try:
+                with bars(errors) as show:
+                    data = module.run(config, seed, Sweep(show, kept, jobs))
+            except KeyboardInterrupt:
+                errors.print(f"{name}: interrupted; {len(kept)} finished parts are kept for --resume")
+                raise typer.Exit(130) from None
+            claims = module.judge(data)
+            record = framework.manifest(name, profile, config, seed, claims)
+            paths = framework.write(out, name, data, module.draw(data), record)
         console.print(module.table(data))
         _print_claims(claims)
         console.print(
@@ -137,9 +146,7 @@ def _print_claims(found: list[framework.Claim]) -> None:
 def main() -> None:
     """The command line: what a user got wrong is one line and exit code 2."""
     # Compiled code is kept between runs, here and not in the library: a program's settings are the program's.
-    jax.config.update("jax_compilation_cache_dir", str(framework.CACHE))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    keep_compiled(str(framework.CACHE))
     try:
         app(standalone_mode=True)
     except ValueError as error:

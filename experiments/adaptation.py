@@ -14,7 +14,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
 from mcmc1d.numerics import cast, limit
@@ -100,7 +101,7 @@ def adaptive_chain(accepted: np.ndarray, rejected: np.ndarray) -> tuple[np.ndarr
     return adapted.reshape(settings * n, -1), kept.reshape(settings * n, -1)
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The finite chains' laws, computed; then the line, by simulation and by the operator."""
     pi = VALUES / VALUES.sum()
     marks = np.unique(np.round(MARKS ** np.arange(0, np.log10(config.horizon) + 0.01, 0.25)).astype(int))

@@ -17,7 +17,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.moves import LargeStep, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.moves.multiple_try import by_target
 from mcmc1d.targets import Banana, GaussianMixture, Target
@@ -197,7 +198,7 @@ def autocorrelation_time(x: np.ndarray, window: float = 5) -> float:
     return float(times[np.argmax(enough) if enough.any() else n - 1])
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every method on every target, `repeats` times; compiling is not timed."""
     found: dict[str, list] = {name: [] for name in ("time", "evaluations", "rate", "tv", "p", "states")}
     names: list[str] = []

@@ -13,7 +13,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d import verify
 from mcmc1d.checks import rising
 from mcmc1d.moves import LargeStep, Mixture, Move, Proposal, ReversibleJump, SmallStep, TechniqueChange
@@ -266,7 +267,7 @@ def times(cells: int = 600) -> np.ndarray:
     return found
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Verifications, shares of the square, operators."""
     cells, reports = [], []
     todo = kernels()

@@ -10,7 +10,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 from scipy.stats import binom
 
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.verify import JaxKernel, LawError, Verdict, laws, verify
 from mcmc1d.verify.mutants.memory import depositing
 
@@ -39,7 +40,7 @@ def kernel() -> JaxKernel:
     return depositing(laws.walls())
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """First-stage p-values, combined and by layer; and verdicts of the whole scheme at the exaggerated level."""
     law, right = laws.walls(), kernel()
     common = {"replicas": config.replicas, "reversible": True, "ergodic": False, "steps": (1, 16)}

@@ -12,7 +12,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import Move, MultipleTry, SmallStep
 from mcmc1d.moves.multiple_try import by_importance, evenly
@@ -64,7 +65,7 @@ def evaluations(deposit: str, tries: int) -> int:
     return tries + 1 if deposit == "auxiliary centre" else 2 * tries - 1
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The bias on a ring, three ways; then the error against work on the line."""
     step = RingStep(len(F), {1: 0.75, -1: 0.25})
     target, states = ring(F)

@@ -14,7 +14,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.estimators import Estimator
 from mcmc1d.metropolis import Kernel, Metropolis, Step, acceptance
 from mcmc1d.moves import LargeStep, MultipleTry, SmallStep, Stratified
@@ -87,7 +88,7 @@ class Twin(Kernel):
         return eqx.tree_at(lambda s: s.deposits.weight, step, weight)
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Deposits by enumeration; then errors at equal work over sizes and candidates, and over lengths."""
     target, states = ring(F)
     sub, split = SubChain(FAR, NEAR, 2), SplitSample(NEAR, 3)

@@ -12,8 +12,9 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
 from experiments.support.scenes import glints, walk
+from experiments.support.sweep import Sweep
 from mcmc1d.image import Film, Image
 from mcmc1d.importance import Floor, Product, Regions, Shader, lost_mass
 from mcmc1d.metropolis import Metropolis
@@ -90,7 +91,7 @@ def on_a_ring() -> float:
     return worst
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Images of a line by each importance function; then a constant one where paths are hidden."""
     key = jax.random.key(seed)
     f, pixels = Sinusoid(0.9, 2.0, 0.1), Pixels(config.pixels)

@@ -15,7 +15,8 @@ from numpyro.infer import HMC, NUTS, BarkerMH
 from rich.box import SIMPLE
 from rich.table import Table
 
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d import verify
 from mcmc1d.verify import Law, Report, laws
 from mcmc1d.verify.report import versions
@@ -84,7 +85,7 @@ WRONG = ("DESnookerMove, 3D normal", "DESnookerMove, lopsided")
 """dfm/emcee #531; the others are right as far as is known."""
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Verify each."""
     todo = kernels()
     reports: list[Report] = []

@@ -16,7 +16,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Mixture, Move, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.moves.exchange import CoordinateStep
@@ -63,7 +64,7 @@ LOST = FromFunction(lambda x, p: jnp.concatenate([0.6 * p[:2] / p[:2].sum(), 0.4
 VERIFIED = (*HEURISTICS, "path space", "floor", "block-wise")
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Laws by operators, by quadrature, by enumeration, by verification and by a run."""
     edges = np.linspace(0, 1, config.bins + 1)
     step = StepAndChange(SmallStep(config.sigma))

@@ -14,7 +14,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.estimators import Estimator
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.moves import LargeStep, Mixture, Move, SmallStep, StepAndChange, TechniqueChange
@@ -124,7 +125,7 @@ def methods(config: Config) -> dict[str, tuple[Multiplexed, Kernel]]:
     }
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Usage, laws of deposits, effective path ratio, errors at equal work; lengths and their b_k."""
     edges = np.linspace(0, 1, config.bins + 1)
     masses = F.bin_masses(edges)

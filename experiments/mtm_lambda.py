@@ -14,7 +14,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import LinearStep, Move, MultipleTry, Rotated, SmallStep, Stratified, TruncatedStep, UniformStep
 from mcmc1d.moves.candidates import Candidates, Reverse, insert
@@ -164,7 +165,7 @@ def _witnesses(config: Config) -> dict[str, Move]:
     }
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The ring, enumerated; the clamped Gaussian by the operator; perturbations compared; witnesses by `verify`."""
     target, states = ring(F)
     rings = _rings()
@@ -206,7 +207,7 @@ def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
     )
 
 
-def _clamped(config: Config, progress: Progress) -> dict[str, Any]:
+def _clamped(config: Config, progress: Sweep) -> dict[str, Any]:
     """The law with and without the normaliser, by the operator, beside f and the f Z that theory predicts."""
     edges = np.linspace(0, 1, config.bins + 1)
     step = TruncatedStep(config.sigma)
@@ -228,7 +229,7 @@ def _clamped(config: Config, progress: Progress) -> dict[str, Any]:
     }
 
 
-def _shapes(config: Config, seed: int, progress: Progress) -> dict[str, Any]:
+def _shapes(config: Config, seed: int, progress: Sweep) -> dict[str, Any]:
     """Each perturbation at each size: its acceptance at the best, and the error of a histogram at equal work, exactly.
 
     Autocorrelation: the mean over the bins of their indicators' integrated autocorrelation times, each counted by its

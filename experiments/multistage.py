@@ -12,8 +12,9 @@ from rich.box import SIMPLE
 from rich.table import Table
 from scipy.stats import t as student
 
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
 from experiments.support.scenes import glints, room, walk
+from experiments.support.sweep import Sweep
 from mcmc1d.moves import LargeStep, Mixture, SmallStep
 from mcmc1d.perception import density_statistics, efficiency, error, tvi, visual_error
 from mcmc1d.pixels import Pixels
@@ -57,7 +58,7 @@ BRIGHT, DARK = 50.0, 1e-5
 threshold is constant and a visual error is an absolute one."""
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The bias of a line against N; two-stage against the quality of its first image; Table 1 on two scenes."""
     key = jax.random.key(seed)
     sizes = [SMALLEST * 4**j for j in range(config.bias_sizes)]
@@ -153,7 +154,7 @@ def render(scene: Scene, method: str, config: Config, key) -> Rendered:
     return renderer.render(key, plan(side, samples), adapt if method == "MMLT" else NoiseAware(adapt, exposure))
 
 
-def _first_image(config: Config, key, progress: Progress) -> np.ndarray:
+def _first_image(config: Config, key, progress: Sweep) -> np.ndarray:
     """The visual error of two-stage on the room, by the samples of its test image, at equal work in all."""
     scene = room()
     # The floor is low: whatever the test image says is believed, as in the paper's figure 4.

@@ -13,8 +13,9 @@ from rich.table import Table
 from scipy.stats import spearmanr
 
 from experiments.multistage import ratio
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
 from experiments.support.scenes import glints, room, walk
+from experiments.support.sweep import Sweep
 from mcmc1d.image import Film
 from mcmc1d.perception import downsampled, noise_target, tvi, visual_error
 from mcmc1d.rendering import Renderer, Scene
@@ -44,7 +45,7 @@ LEVELS = {"bright": 50.0, "dark": 1e-5}
 """The mean luminance of the image, cd/m^2; in the dark the eye's threshold is constant."""
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Visual errors at two exposures; estimates of the variance against the truth; the steps of one target."""
     key = jax.random.key(seed)
     visual = np.zeros((len(SCENES), len(LEVELS), len(METHODS), config.replicas))

@@ -18,7 +18,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d import verify
 from mcmc1d.moves import AimedJump, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.moves.multiple_try import by_target
@@ -101,7 +102,7 @@ def moves(config: Config) -> dict[str, Move]:
     return mixed | {"multiple-try": MultipleTry(StepAndChange(small), 3, by_target)}
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Contracts, verifications, histograms of right and wrong jumps, autocorrelation of three maps."""
     contracts = both_cores(partial(_contract, config), EXAMPLES.values(), partial(progress, "contracts"))
     targets = {name: multiplexed(target) for name, target in TARGETS.items()}
@@ -189,7 +190,7 @@ def _contract(config: Config, technique: Technique) -> tuple[bool, float, float]
     return report.passed, max(check.error / check.tolerance for check in equations), float(abs(masses.sum() - 1))
 
 
-def _maps(config: Config, seed: int, progress: Progress) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _maps(config: Config, seed: int, progress: Sweep) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Autocorrelation times of small steps through each map, their errors, TV of each histogram and that of chance."""
     edges, groups = np.linspace(0, 1, 9), 8
     exact = {name: target.bin_masses((edges, edges)) for name, target in WALKED.items()}

@@ -16,7 +16,8 @@ from rich.table import Table
 from scipy.special import ndtr
 from scipy.stats import multinomial, norm
 
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d import lazy, verify
 from mcmc1d.lazy import LazyChain, LazySampler, LazyState
 from mcmc1d.types import Array, Key
@@ -422,7 +423,7 @@ STEP = 0.05
 LARGE_STEP = 0.1
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The exact references, then the simulations."""
     errors = np.array([[lazy_errors(replay, p) for p in LARGE] for replay in ("merged", "apart")])
     progress("sampler", 1, 8)

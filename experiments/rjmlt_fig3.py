@@ -15,7 +15,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.moves import AimedJump, Mixture, Move, ReversibleJump, SmallStep, TechniqueChange
 from mcmc1d.techniques import Mixture as MixtureTechnique
 from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Technique, Tent
@@ -92,7 +93,7 @@ def _target(config: Config, mixture: Technique) -> mcmc1d.Multiplexed:
     return mcmc1d.Multiplexed(sinusoid, (Tent(), PiecewiseConstant([0, 0.5, 1], [1.6, 0.4]), mixture))
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every integrator: replicas tested after `replica_steps`, then histograms, acceptance and autocorrelation."""
     edges = np.linspace(0, 1, config.bins + 1)
     # One law for all: a wrong inverse changes neither f nor the densities.

@@ -13,7 +13,8 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d import tempering
 from mcmc1d.metropolis import Cycle, Deposits, Kernel, Metropolis, Step
 from mcmc1d.moves import Mixture, SmallStep, StepAndChange, TechniqueChange
@@ -78,7 +79,7 @@ class AlwaysSwap(Kernel):
         return Step(after, deposits, right.info)
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The laws of ladders and of replicas, and the error of four methods against their steps."""
     edges = np.linspace(0, 1, config.bins + 1)
     masses = GENTLE.bin_masses(edges)

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
 
-from experiments.support.framework import Claim, Progress
+from experiments.support.framework import Claim
+from experiments.support.sweep import Sweep
 from mcmc1d.moves import LargeStep, Mixture, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.verify import HostKernel, Law, adapters, hard_target, laws, verify
 from mcmc1d.verify.mutants.jumps import no_jacobian
@@ -92,7 +93,7 @@ def _nuts(law: Law, power: float) -> Any:
     return blackjax.nuts(lambda x: power * log_f(x), 0.4, jnp.ones(2))
 
 
-def run(config: Config, seed: int, progress: Progress) -> xr.Dataset:
+def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Verify each, right and wrong."""
     todo = cases()
     shape = (len(todo), 2, config.seeds)

@@ -9,7 +9,7 @@ import platform
 import subprocess
 import tempfile
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -49,10 +49,6 @@ class Claim:
     def as_expected(self) -> bool:
         """Whether theory and finding agree."""
         return self.verdict == self.expected
-
-
-Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, the work done in it and the work in all."""
 
 
 def names() -> list[str]:
@@ -189,7 +185,6 @@ def _commit() -> str:
 
 __all__ = [
     "Claim",
-    "Progress",
     "configure",
     "load",
     "manifest",

@@ -6,11 +6,11 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from experiments.support import framework
+from experiments.support.sweep import Show
 
 
 @contextmanager
-def bars(console: Console) -> Iterator[framework.Progress]:
+def bars(console: Console) -> Iterator[Show]:
     """A function to call with (stage, done, total): a bar for each stage on a terminal, nothing elsewhere."""
     columns = [TextColumn("{task.description:<34}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()]
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
