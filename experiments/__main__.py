@@ -98,6 +98,27 @@ def draw(
 
 
 @app.command()
+def scene(
+    names: Annotated[list[str], typer.Argument(help="Of the catalogue, or scene files NAME.toml.")],
+    edges: Annotated[int, typer.Option(help="The paths' edges: 1 is a lamp that is seen directly.")] = 3,
+    paths: Annotated[int, typer.Option(help="How many paths that carry light, of each technique at most.")] = 30,
+    seed: Annotated[int, typer.Option(help="Of the paths.")] = 0,
+    out: Out = Path("figures"),
+) -> None:
+    """Draw flatland scenes, each with paths by technique, into scene_NAME.png."""
+    from experiments.support.flatland import draw_techniques
+    from mcmc1d.flatland import files, scenes
+
+    framework.require_writable(out)
+    framework.style()
+    for name in names:
+        shown = files.read(Path(name)) if name.endswith(".toml") else scenes.scene(name)
+        path = out / f"scene_{shown.name}.png"
+        draw_techniques(shown, edges, paths, seed).savefig(path, metadata={"Software": None})
+        console.print(str(path), highlight=False, soft_wrap=True)
+
+
+@app.command()
 def claims(
     out: Out = Path("figures"),
     json_: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,

@@ -16,6 +16,7 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
+from experiments.support.verdict import verdict
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
 from mcmc1d.numerics import cast, limit
@@ -274,9 +275,6 @@ def judge(data: xr.Dataset) -> list[Claim]:
     # The expected total variation of so many independent draws in the bins.
     noise = float(np.sqrt(2 / np.pi / float(data.chains)) * np.sqrt(masses * (1 - masses)).sum() / 2)
 
-    def word(condition: bool) -> str:
-        return "holds" if condition else "fails"
-
     def slope(kind: str) -> float:
         late = data.step.to_numpy() >= 100
         here = data.distance.sel(kind=kind, adaptation="fading").to_numpy()[late]
@@ -288,7 +286,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "adaptation.fading",
             "A step size that is adapted less and less (gain 1 / n, bounded) keeps the law",
             f"{SOURCE}; {THEORY}",
-            word(final[KINDS[0], "fading"] < 1e-4 and p["fading"] >= level),
+            verdict(final[KINDS[0], "fading"] < 1e-4 and p["fading"] >= level),
             "holds",
             f"ring: TV {final[KINDS[0], 'fading']:.1e} after {horizon} steps; line: TV {distance['fading']:.4f}, "
             f"p {p['fading']:.2g} (no adaptation: p {p['none']:.2g})",
@@ -298,7 +296,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "adaptation.not-fading",
             "A step size may go on adapting with a constant gain",
             f"{SOURCE}; {THEORY}",
-            word(final[KINDS[0], "not fading"] < 1e-4 and p["not fading"] >= level),
+            verdict(final[KINDS[0], "not fading"] < 1e-4 and p["not fading"] >= level),
             "fails",
             f"ring: TV {final[KINDS[0], 'not fading']:.4f}; line: TV {distance['not fading']:.4f}, "
             f"p {'under 1e-300' if p['not fading'] < 1e-300 else format(p['not fading'], '.1g')}",
@@ -308,7 +306,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "adaptation.large-fading",
             "A large-step probability that is adapted less and less keeps the law",
             f"{SOURCE}; {THEORY}",
-            word(final[KINDS[1], "fading"] < 1e-4),
+            verdict(final[KINDS[1], "fading"] < 1e-4),
             "holds",
             f"ring: TV {final[KINDS[1], 'fading']:.1e} after {horizon} steps",
             "computed, 1e-4",
@@ -317,7 +315,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "adaptation.large-not-fading",
             "A large-step probability may go on adapting",
             f"{SOURCE}; {THEORY}",
-            word(final[KINDS[1], "not fading"] < 1e-4),
+            verdict(final[KINDS[1], "not fading"] < 1e-4),
             "fails",
             f"ring: TV {final[KINDS[1], 'not fading']:.4f}",
             "computed, 1e-4",
@@ -326,7 +324,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "adaptation.rate",
             "The bias of fading adaptation falls as its gain, 1 / n",
             f"ours; {THEORY}",
-            word(max(abs(s + 1) for s in slopes) < 0.1),
+            verdict(max(abs(s + 1) for s in slopes) < 0.1),
             "holds",
             f"TV falls as n^{slopes[0]:.3f} and n^{slopes[1]:.3f}",
             "exponent within 0.1 of -1; computed laws from step 100 on",
@@ -335,7 +333,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "adaptation.operator",
             "The operator on (x, step size) predicts the law that adaptation without fading has",
             "ours",
-            word(apart < float(data.agreement) + 2 * noise),
+            verdict(apart < float(data.agreement) + 2 * noise),
             "holds",
             f"TV {apart:.4f} between predicted and simulated, {distance['not fading']:.4f} from f / b",
             f"TV {float(data.agreement):.0e} beyond twice the simulation's noise, {noise:.4f}",

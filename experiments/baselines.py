@@ -156,7 +156,10 @@ def _emcee(config: Config, target: mcmc1d.Multiplexed, seed: int) -> Walk:
 def _blackjax(config: Config, case: Case, target: mcmc1d.Multiplexed, kind: str) -> Method:
     lower, upper = (np.atleast_1d(np.asarray(corner, np.float32)) for corner in case.target.domain)
     scalar = np.ndim(case.target.domain[0]) == 0
-    log_f = lambda x: case.target.log_f(x[0] if scalar else x)  # noqa: E731
+
+    def log_f(x: Any) -> Any:
+        return case.target.log_f(x[0] if scalar else x)
+
     algorithm: Any
     if kind == "nuts":
         algorithm, steps = blackjax.nuts(log_f, case.scale, np.ones(len(lower), np.float32)), config.nuts_steps

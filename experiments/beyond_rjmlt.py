@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -13,18 +12,17 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
+from experiments.support.beyond_rjmlt_dimensions import RIGHT, TRANSDIMENSIONAL, LineAndSquare, kernels
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
+from experiments.support.verdict import verdict
 from mcmc1d import verify
-from mcmc1d.checks import rising
-from mcmc1d.moves import LargeStep, Mixture, Move, Proposal, ReversibleJump, SmallStep, TechniqueChange
+from mcmc1d.moves import LargeStep, Mixture, Move, Proposal, ReversibleJump, SmallStep
 from mcmc1d.moves.scaled import ScaledStep
-from mcmc1d.numerics import pick
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.targets import PiecewiseLinear as Linear
-from mcmc1d.targets import Sinusoid, Target
+from mcmc1d.targets import Sinusoid
 from mcmc1d.targets.planar import Banana
-from mcmc1d.techniques import PiecewiseLinear, Ramp, Technique, within
+from mcmc1d.techniques import PiecewiseLinear, Technique
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.gaussian import BoxMuller
 from mcmc1d.types import Array, Corners, Float, Scalar
@@ -47,140 +45,6 @@ class Config:
 
 
 PROFILES = {"quick": Config(), "paper": Config(replicas=2**19, chains=2**15, steps=2048, points=2**18)}
-
-
-# --- the line and the square as one plane ----------------------------------------------------------------------------
-
-
-class LineAndSquare(Target):
-    """A density on the line (x in [0, 1]) and one on the square, disjoint, padded to one dimension.
-
-    z = (x, spare) with the spare number uniform is the line, z = (1 + x, y) the square: counting measure on the two,
-    times Lebesgue's, which on the line counts the spare number as well.
-    """
-
-    on_line: Target = Sinusoid(0.9, 1.5, 0.1, 1.0)
-    along: tuple[Target, Target] = (Linear([0, 0.3, 1], [0.2, 2.0, 0.3]), Sinusoid(0.8, 1.0, 0.3, 1.0))
-    across: tuple[Target, Target] = (Linear([0, 0.6, 1], [3.0, 0.3, 0.6]), Linear([0, 0.4, 1], [0.1, 0.4, 2.4]))
-
-    @property
-    def domain(self) -> Corners:
-        return np.zeros(2), np.array([2.0, 1.0])
-
-    def log_f(self, x: Float[Array, " 2"]) -> Scalar:
-        terms = [a.log_f(x[0] - 1) + b.log_f(x[1]) for a, b in zip(self.along, self.across, strict=True)]
-        inside = (x[0] >= 0) & (x[0] < 2) & (x[1] >= 0) & (x[1] <= 1)
-        log_f = jnp.where(x[0] < 1, self.on_line.log_f(x[0]), jnp.logaddexp(*terms))
-        return jnp.where(inside, log_f, -jnp.inf)
-
-    def bin_masses(self, edges: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        x, y = (rising(e, "LineAndSquare.bin_masses") for e in edges)
-        line = np.outer(self.on_line.bin_masses(x), np.diff(np.clip(y, 0, 1)))
-        products = zip(self.along, self.across, strict=True)
-        return line + sum(np.outer(a.bin_masses(x - 1), b.bin_masses(y)) for a, b in products)
-
-    @property
-    def cells(self) -> np.ndarray:
-        """The masses of quarters of the line and of the square, by x and by y (or the spare number): (8, 4)."""
-        masses = self.bin_masses((np.linspace(0, 2, 9), np.linspace(0, 1, 5)))
-        return masses / masses.sum()
-
-
-class RampPair(Technique):
-    """z = (start + x, y): x from a ramp, y from one of slope `tilt` (2 x - 1): without tilt the spare number.
-
-    So the line reads one number and the square two, and both are bijections of the unit square.
-    """
-
-    start: float = eqx.field(static=True)
-    slope: float = eqx.field(static=True)
-    tilt: float = eqx.field(static=True)
-
-    @property
-    def dim_u(self) -> int:
-        return 2
-
-    @property
-    def support(self) -> Corners:
-        return np.array([self.start, 0.0]), np.array([self.start + 1.0, 1.0])
-
-    def forward(self, u: Float[Array, " 2"]) -> Forward:
-        x = Ramp(self.slope).quantile(u[0])
-        z = jnp.stack([self.start + x, self._second(x).quantile(u[1])])
-        return z, u[2:], -self.log_prob(z)
-
-    def inverse(self, x: Float[Array, " 2"], v: Float[Array, " 0"]) -> Inverse:
-        place = x[0] - self.start
-        u = jnp.stack([Ramp(self.slope).cdf(place), self._second(place).cdf(x[1])])
-        return jnp.clip(u, 0, 1 - jnp.finfo(u.dtype).epsneg), self.log_prob(x)
-
-    def log_prob(self, x: Float[Array, " 2"]) -> Scalar:
-        place = x[0] - self.start
-        log_p = Ramp(self.slope).log_prob(place) + self._second(place).log_prob(x[1])
-        return within(
-            place, log_p, 0, 1 if self.start else jnp.nextafter(jnp.ones((), x.dtype), jnp.zeros((), x.dtype))
-        )
-
-    def _second(self, x: Scalar) -> Ramp:
-        return Ramp(self.tilt * (2 * jnp.asarray(x) - 1))
-
-
-TRANSDIMENSIONAL = Multiplexed(LineAndSquare(), (RampPair(0.0, 1.6, 0.0), RampPair(1.0, -1.4, 1.8)))
-
-
-class DimensionJump(Move):
-    """From the line to the square and back, x kept: y is the quantile of the spare number in a ramp, and the reverse.
-
-    Green 1995, with the spare number as the one that matches the dimensions. The log-determinant is that of y with
-    respect to the spare number, between those of the techniques; the mistake leaves it out.
-    """
-
-    slope: float = eqx.field(static=True, default=1.7)
-    mistake: bool = eqx.field(static=True, default=False)
-
-    def dim_w(self, target: Multiplexed) -> int:
-        return 0
-
-    def propose(self, target: Multiplexed, state: State, w: Float[Array, " 0"]) -> Proposal:
-        here, ramp = state.seen, Ramp(self.slope)
-        up, second = state.index == 0, here.x[1]
-        x = jnp.where(up, here.x[0] + 1, here.x[0] - 1)
-        other = jnp.where(up, ramp.quantile(second), ramp.cdf(second))
-        stretch = jnp.where(up, -ramp.log_prob(other), ramp.log_prob(second))
-        there = 1 - jnp.asarray(state.index)
-        u, log_det = target.inverse(there, jnp.stack([x, other]), here.v)
-        log_det = log_det + here.log_det + jnp.where(self.mistake, 0, stretch)
-        return Proposal(State(there, u), w, log_det)
-
-
-class JumpWithoutJacobian(Move):
-    """The technique change at fixed u, its ratio taken as that of f: the densities p, its Jacobian in x, left out."""
-
-    def dim_w(self, target: Multiplexed) -> int:
-        return 1
-
-    def propose(self, target: Multiplexed, state: State, w: Float[Array, " 1"]) -> Proposal:
-        plain = TechniqueChange().propose(target, state, w)
-        there = target.evaluate(plain.state)
-        log_p = pick(there.seen.log_p, there.index) - pick(state.seen.log_p, state.index)
-        return Proposal(there, plain.w, plain.log_det + log_p)
-
-
-def kernels() -> dict[str, Move]:
-    """Each jump among steps within a dimension."""
-    jumps = {
-        "same numbers": TechniqueChange(),
-        "same x": DimensionJump(),
-        "same numbers, no p": JumpWithoutJacobian(),
-        "same x, no stretch": DimensionJump(mistake=True),
-    }
-    return {
-        name: Mixture({"small": (0.5, SmallStep(0.1)), "large": (0.1, LargeStep()), "jump": (0.4, jump)})
-        for name, jump in jumps.items()
-    }
-
-
-RIGHT = ("same numbers", "same x")
 
 
 # --- two samples at once ---------------------------------------------------------------------------------------------
@@ -378,7 +242,6 @@ def table(data: xr.Dataset) -> Table:
 
 def judge(data: xr.Dataset) -> list[Claim]:
     """What is right, each beside the mistake that it is easily taken for."""
-    says = lambda true: "holds" if true else "fails"  # noqa: E731
     tested = f"level 1e-5; detects a CDF gap of {float(data.gap.max()):.3f} with probability 0.99"
     report = {str(name): data.sel(verified=name) for name in data.verified.to_numpy()}
     passed = {name: str(one.verdict.values) == "PASS" for name, one in report.items()}
@@ -398,7 +261,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
                 id_,
                 statement,
                 f"{SOURCE}, sec. 8.2; Green 1995",
-                says(off < 8 and passed.get(jump, True)),
+                verdict(off < 8 and passed.get(jump, True)),
                 "holds" if jump in RIGHT else "fails",
                 f"{told[jump]}; {number}" if jump in RIGHT else number,
                 f"{tested}; {held}" if jump in RIGHT else held,
@@ -410,7 +273,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "beyond.box-muller",
             "Box-Muller, two samples at once, has an exact inverse; jumps to and from it keep the law",
             f"{SOURCE}, sec. 8.1",
-            says(bool(ok) and passed["Box-Muller"]),
+            verdict(bool(ok) and passed["Box-Muller"]),
             "holds",
             f"round trip {right:.1e}; {told['Box-Muller']}",
             f"contract, 1e-10 by condition; {tested}",
@@ -421,7 +284,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "beyond.box-muller-quadrant",
             "Its angle may be inverted by the ratio of the two alone",
             "ours",
-            says(bool(bad)),
+            verdict(bool(bad)),
             "fails",
             f"round trip off by {wrong:.2g}",
             "contract, 1e-10 by condition",
@@ -435,7 +298,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "beyond.scaled-step",
             "A step in u of size sigma p(x), with its determinant, keeps the law",
             f"{SOURCE}, sec. 8.2",
-            says(passed["scaled step"] and off[0] < 1e-3 + 2 * noise[0]),
+            verdict(passed["scaled step"] and off[0] < 1e-3 + 2 * noise[0]),
             "holds",
             f"{told['scaled step']}; TV {off[0]:.1e} by the transition operator",
             f"{tested}; TV 1e-3 beyond twice the net's noise, {noise[0]:.1e}",
@@ -446,7 +309,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "beyond.scaled-symmetric",
             "It may be taken for symmetric",
             "ours",
-            says(off[1] < 1e-3 + 2 * noise[1]),
+            verdict(off[1] < 1e-3 + 2 * noise[1]),
             "fails",
             f"TV {off[1]:.4f} by the transition operator",
             f"TV 1e-3 beyond twice the net's noise, {noise[1]:.1e}",

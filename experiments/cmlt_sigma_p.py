@@ -1,7 +1,7 @@
 """Coherent MLT's own parameters: sub-chains and split samples, the step's size against p, the sub-sequence's length."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -16,9 +16,10 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
+from experiments.support.verdict import verdict
 from mcmc1d.estimators import Estimator
 from mcmc1d.metropolis import Kernel, Metropolis, Step, acceptance
-from mcmc1d.moves import LargeStep, MultipleTry, SmallStep, Stratified
+from mcmc1d.moves import LargeStep, Move, MultipleTry, SmallStep, Stratified
 from mcmc1d.moves.multiple_try import around, row
 from mcmc1d.subchain import SplitSample, SubChain
 from mcmc1d.targets import GaussianMixture
@@ -26,6 +27,7 @@ from mcmc1d.techniques import Uniform
 from mcmc1d.verify import RingStep, enumerate_kernel, ring
 
 SOURCE = "Segovia et al. 2007"
+K = TypeVar("K", bound=Kernel)
 
 
 @dataclass(frozen=True)
@@ -57,10 +59,10 @@ PEAK = mcmc1d.Multiplexed(GaussianMixture([0.5], [0.05], [1.0]), Uniform())
 MODES = mcmc1d.Multiplexed(GaussianMixture([0.1, 0.45, 0.9], [0.08, 0.06, 0.12], [0.5, 0.2, 0.3]), Uniform())
 
 
-class Twin(Kernel):
+class Twin(Kernel, Generic[K]):
     """A kernel that is `right` in everything but what it deposits."""
 
-    right: SubChain | SplitSample
+    right: eqx.AbstractVar[K]
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -72,16 +74,29 @@ class Twin(Kernel):
     def check(self, target: mcmc1d.Multiplexed) -> None:
         self.right.check(target)
 
+
+class FromTheProposal(Twin[SubChain]):
+    """A sub-chain that starts where the main chain's `move` has proposed to go, accepted or not."""
+
+    right: SubChain
+    move: Move
+
     def step(self, target: mcmc1d.Multiplexed, state: mcmc1d.State, w: jax.Array) -> Step:
-        """A sub-chain from the main chain's proposal, accepted or not; a sample all given to its proposals by R_i."""
         step = self.right.step(target, state, w)
-        if isinstance(self.right, SubChain):
-            assert isinstance(self.right.outer, Metropolis)
-            move = self.right.outer.move
-            proposal = row(around(move, target, state, w[None, : move.dim_w(target)]), jnp.zeros((), jnp.int32))
-            possible = acceptance(state, proposal) > 0
-            there = jax.tree.map(lambda a, b: jnp.where(possible, a, b), proposal.state, state)
-            return eqx.tree_at(lambda s: s.deposits, step, self.right.step(target, there, w).deposits)
+        numbers = w[None, : self.move.dim_w(target)]
+        proposal = row(around(self.move, target, state, numbers), jnp.zeros((), jnp.int32))
+        possible = acceptance(state, proposal) > 0
+        there = jax.tree.map(lambda a, b: jnp.where(possible, a, b), proposal.state, state)
+        return eqx.tree_at(lambda s: s.deposits, step, self.right.step(target, there, w).deposits)
+
+
+class NothingKept(Twin[SplitSample]):
+    """A sample all given to its proposals, in proportion to their R_i."""
+
+    right: SplitSample
+
+    def step(self, target: mcmc1d.Multiplexed, state: mcmc1d.State, w: jax.Array) -> Step:
+        step = self.right.step(target, state, w)
         given = step.deposits.weight[1:].sum()
         alone = step.deposits.weight
         weight = jnp.where(given > 0, alone.at[0].set(0) / jnp.where(given > 0, given, 1), alone)
@@ -95,9 +110,9 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     first = SubChain(FAR, MultipleTry(NEAR, 1), 1)
     pair = {
         "sub-chain": (sub, [4, None] * 3),
-        "sub-chain from the proposal": (Twin(sub), [4, None] * 3),
+        "sub-chain from the proposal": (FromTheProposal(sub, FAR), [4, None] * 3),
         "split": (split, [4, 4, 4, None]),
-        "split, nothing kept": (Twin(split), [4, 4, 4, None]),
+        "split, nothing kept": (NothingKept(split), [4, 4, 4, None]),
         "length 1, one candidate": (first, [4, None, 4, None, None]),
         "Metropolis": (Metropolis(NEAR), [4, None]),
     }
@@ -234,7 +249,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     local, wide = (str(name) for name in data["sub"].to_numpy())
 
     def claim(name: str, statement: str, source: str, holds: bool, expected: str, number: str, held: str) -> Claim:
-        return Claim(f"cmlt.{name}", statement, source, "holds" if holds else "fails", expected, number, held)
+        return Claim(f"cmlt.{name}", statement, source, verdict(holds), expected, number, held)
 
     exactly = "enumeration, a ring of five, lopsided steps; exact to 1e-12"
     return [

@@ -15,15 +15,15 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.mmlt_usage_lengths import CHECKPOINTS, FIRST, histograms, lengths
 from experiments.support.sweep import Sweep
-from mcmc1d.estimators import Estimator
-from mcmc1d.metropolis import Kernel, Step
+from experiments.support.verdict import verdict
+from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import LargeStep, Mixture, Move, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.pooled import Pooled, PooledDeposit, integral, pooled
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.targets import FromFunction, Tabulated, Target
+from mcmc1d.targets import FromFunction, Tabulated
 from mcmc1d.techniques import Inversion, PiecewiseConstant, Ramp, TruncatedNormal, Uniform
-from mcmc1d.tempering import over_parts
 from mcmc1d.types import Scalar
 from mcmc1d.verify import RingStep, deposit_law, enumerate_kernel, ring
 from mcmc1d.weights import FromFunction as Weighting
@@ -63,15 +63,6 @@ NAMES = ("ramp", "normal", "step", "uniform")
 METHODS = ("MMLT", "MMLT, any index", "PSSMLT, sum", "PSSMLT, max")
 CLOSE = [[0.94, 0.03, 0, 0.03], [0.03, 0.94, 0.03, 0], [0, 0.03, 0.94, 0.03], [0.03, 0, 0.03, 0.94]]
 """Where a small step of 0.02 leads the floor of 4 u_t, around the ends: how often it crosses a quarter's end."""
-LENGTHS: tuple[Target, ...] = (
-    FromFunction(lambda x: 1 + x),
-    FromFunction(lambda x: 2 * x**3),
-    FromFunction(lambda x: jnp.where(x > 0.98, 2.0, 0.0), breaks=(0.98,)),
-)
-"""What stands for the paths of three lengths; the last is lit for one sample in fifty."""
-FIRST = 64
-"""Samples of each length that estimate b_k at the start."""
-CHECKPOINTS = (64, 256, 1024, 4096, 16384)
 
 
 class Shift(Inversion):
@@ -85,22 +76,6 @@ class Shift(Inversion):
 
     def log_prob(self, x: Scalar) -> Scalar:
         return jnp.where((x >= 0) & (x <= 1), 0.0, -jnp.inf)
-
-
-class Apart(Estimator):
-    """The deposits' weight in each bin of a scalar x, for each of `count` chains by itself: sums (count, bins)."""
-
-    edges: np.ndarray
-    count: int = eqx.field(static=True)
-
-    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> jax.Array:
-        return jnp.zeros((self.count, len(self.edges) - 1), dtype)
-
-    def update(self, sums: jax.Array, steps: Step) -> jax.Array:
-        x, weight = steps.deposits.x, steps.deposits.weight
-        edges = jnp.asarray(self.edges, x.dtype)
-        cell = jnp.clip(jnp.searchsorted(edges, x, side="right") - 1, 0, sums.shape[1] - 1)
-        return sums.at[jnp.broadcast_to(jnp.arange(self.count), cell.shape), cell].add(weight)
 
 
 def methods(config: Config) -> dict[str, tuple[Multiplexed, Kernel]]:
@@ -150,12 +125,12 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         ratio, spread = _effective(config, own, kernel, jax.random.fold_in(key, 1))
         # At equal work: a step of PSSMLT evaluates the samples of all techniques.
         steps = config.work // (1 if one else len(TECHNIQUES))
-        each = _histograms(jax.random.fold_in(key, 2), kernel, own, edges, steps, config.repeats)
+        each = histograms(jax.random.fold_in(key, 2), kernel, own, edges, steps, config.repeats)
         error, mean = np.sqrt(np.mean((scale * each - masses) ** 2, axis=1)), each.mean(0)
         for part, value in zip(found, (scale, net, net_error, mean, ratio, spread, error), strict=True):
             found[part].append(value)
         progress("methods", k + 1, len(METHODS))
-    lengths = _lengths(config, jax.random.fold_in(jax.random.key(seed), 9))
+    apart = lengths(jax.random.fold_in(jax.random.key(seed), 9), edges, config.work, config.repeats)
     progress("lengths", 1, 1)
     return xr.Dataset(
         {
@@ -171,7 +146,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "ratio_error": ("way", found["spread"]),
             "error": (("way", "repeat"), np.stack(found["error"])),
             "ring": ("combine", [_on_a_ring(combine) for combine in ("sum", "maximum")]),
-            **lengths,
+            **apart,
         },
         {
             "bin": (edges[1:] + edges[:-1]) / 2,
@@ -215,62 +190,6 @@ def _lit(move: Move, target: Multiplexed, states: State, w: jax.Array) -> jax.Ar
     return jax.vmap(one)(states, w)
 
 
-def _histograms(
-    key: jax.Array, kernel: Kernel | Move, target: Multiplexed, edges: np.ndarray, steps: int, repeats: int
-) -> np.ndarray:
-    """The histogram of each of many short chains by itself, (repeats, bins)."""
-    apart = {"x": Apart(edges, repeats)}
-    found = mcmc1d.run(key, kernel, target, steps=steps, chains=repeats, blocks=1, estimators=apart)
-    return found.sums["x"][0] / steps
-
-
-def _lengths(config: Config, key: jax.Array) -> dict[str, Any]:
-    """One chain over lengths and one for each, b_k known; then b_k estimated at the start or all along."""
-    edges = np.linspace(0, 1, config.bins + 1)
-    masses = np.stack([length.bin_masses(edges) for length in LENGTHS])
-    b = masses.sum(1)
-    step = Mixture({"large": (0.1, StepAndChange(LargeStep())), "small": (0.9, StepAndChange(SmallStep(0.1)))})
-    over = over_parts(LENGTHS, (Uniform(),) * len(LENGTHS))
-    one = b.sum() * _histograms(key, step, over, edges, config.work, config.repeats)
-    alone = Mixture({"large": (0.1, LargeStep()), "small": (0.9, SmallStep(0.1))})
-    each = np.zeros_like(one)
-    for k, length in enumerate(LENGTHS):
-        steps = max(1, round(config.work * b[k] / b.sum()))
-        own = Multiplexed(length, Uniform())
-        each += b[k] * _histograms(jax.random.fold_in(key, k), alone, own, edges, steps, config.repeats)
-    errors = [np.sqrt(np.mean((part - masses.sum(0)) ** 2, axis=1)) for part in (one, each)]
-
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint64))
-    repeats = 512
-    rows, missed = [], 0.0
-    for k, length in enumerate(LENGTHS):
-        u = rng.random((repeats, CHECKPOINTS[-1]), np.float32)
-        c = np.asarray(jnp.exp(jax.vmap(jax.vmap(length.log_f))(jnp.asarray(u))), np.float64)
-        means = np.stack([c[:, :n].mean(1) for n in CHECKPOINTS])
-        rows.append(means - b[k])
-        missed = float((means[0] == 0).mean()) if k == len(LENGTHS) - 1 else missed
-    progressive = np.sqrt(np.mean(np.stack(rows).sum(0) ** 2, axis=1)) / b.sum()
-    once = np.repeat(progressive[:1], len(CHECKPOINTS))
-    return {
-        "over_lengths": ("repeat", errors[0]),
-        "each_length": ("repeat", errors[1]),
-        "over_bias": float(np.abs(one.mean(0) - masses.sum(0)).max() / masses.sum(0).max()),
-        "bias_z": (
-            "chain",
-            [
-                float(np.abs((p.mean(0) - masses.sum(0)) / (p.std(0, ddof=1) / np.sqrt(len(p)))).max())
-                for p in (one, each)
-            ],
-        ),
-        "b_error": (("estimate", "samples"), np.stack([once, progressive])),
-        "missed": missed,
-        "miss_predicted": 0.98**FIRST,
-        "miss_later": 0.98 ** CHECKPOINTS[1],
-        "rare_share": float(b[-1] / b.sum()),
-        "miss_repeats": repeats,
-    }
-
-
 def draw(data: xr.Dataset) -> Figure:
     """Samples by technique against contributions, effective path ratio, and b_k at the start or progressively."""
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(7.0, 2.1), width_ratios=(4, 3, 3))
@@ -310,10 +229,6 @@ def _se(values: np.ndarray) -> float:
     return float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
-def _word(condition: bool) -> str:
-    return "holds" if condition else "fails"
-
-
 def judge(data: xr.Dataset) -> list[Claim]:
     """Usage follows contribution; PSSMLT is right with the right constant; lengths apart or together."""
     b, masses = float(data.masses.sum()), data.masses.to_numpy()
@@ -324,7 +239,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "mmlt.usage",
             "MMLT's samples per technique are proportional to the technique's contribution",
             f"{SOURCE}, fig. 5",
-            _word(z < 6),
+            verdict(z < 6),
             "holds",
             f"{z:.1f} standard errors at most, shares {', '.join(f'{float(s):.3f}' for s in data.usage)}; PSSMLT's "
             f"equal shares are off by up to {uneven:.3f}",
@@ -343,7 +258,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
                 f"pssmlt.{combine}",
                 f"PSSMLT with the {combine} of all contributions samples f when each of them is deposited",
                 f"{SOURCE}, Alg. 1",
-                _word(off < 6 and enumerated < 1e-12),
+                verdict(off < 6 and enumerated < 1e-12),
                 "holds",
                 f"enumerated on a ring to {enumerated:.0e}; on the line {off:.1f} standard errors of a net, simulated "
                 f"TV {simulated:.1e}",
@@ -356,7 +271,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "pssmlt.maximum-scale",
             "With the maximum, deposits are multiplied by b, the integral of f, as with the sum",
             f"ours; {SOURCE}, Alg. 1",
-            _word(abs(excess) < 1e-9),
+            verdict(abs(excess) < 1e-9),
             "fails",
             f"{excess:+.1%}: the integral of the maximum is what multiplies",
             "quadrature, 1e-9",
@@ -366,13 +281,13 @@ def judge(data: xr.Dataset) -> list[Claim]:
     apart = ratio[METHODS[0]] - max(ratio[m] for m in METHODS[2:])
     noise = float(np.sqrt((data.ratio_error**2).sum()))
     afresh = ratio[METHODS[1]] - ratio[METHODS[2]]
-    verdict = "holds" if afresh > apart / 2 else "holds if the index moves in small steps too"
+    found = "holds" if afresh > apart / 2 else "holds if the index moves in small steps too"
     claims.append(
         Claim(
             "mmlt.effective-paths",
             "MMLT's effective path ratio is higher than PSSMLT's",
             f"{SOURCE}, sec. 5 (29.75 % against 11.81 %)",
-            verdict if apart > 6 * noise else "fails",
+            found if apart > 6 * noise else "fails",
             # Drawn afresh, the index of a small step is any technique at nearly the same u, as all of PSSMLT's are.
             "holds if the index moves in small steps too",
             ", ".join(f"{m} {r:.2%}" for m, r in ratio.items()),
@@ -387,7 +302,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "mmlt.lengths-law",
             "One chain over all lengths and one chain for each give the same sum, b_k known",
             f"{SOURCE}, sec. 4",
-            _word(bool(biases.max() < 6)),
+            verdict(bool(biases.max() < 6)),
             "holds",
             f"{biases[0]:.1f} and {biases[1]:.1f} standard errors at most",
             "6 s.e. in 20 bins",
@@ -396,7 +311,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "mmlt.lengths-apart",
             "One chain for each length is more efficient than one over all lengths",
             f"{SOURCE}, sec. 4",
-            _word(gain > 3 * noise),
+            verdict(gain > 3 * noise),
             "holds",
             f"RMS error {each.mean():.5f} apart, {over.mean():.5f} together, at equal steps",
             f"3 s.e. of the difference, {3 * noise:.5f}",
@@ -405,7 +320,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "mmlt.b-once",
             "b_k estimated once may be zero where b_k is not, and less likely progressively",
             f"{SOURCE}, sec. 4",
-            _word(abs(float(data.missed) - float(data.miss_predicted)) < _miss_tolerance(data)),
+            verdict(abs(float(data.missed) - float(data.miss_predicted)) < _miss_tolerance(data)),
             "holds",
             f"a length lit for 2% of u, {float(data.rare_share):.1%} of b: missed by {FIRST} samples with probability "
             f"{float(data.miss_predicted):.3f} (measured {float(data.missed):.3f}), "
@@ -419,7 +334,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "mmlt.b-progressive",
             "With b_k estimated progressively the error of b keeps falling; estimated once it stays",
             f"{SOURCE}, sec. 4",
-            _word(bool(later[-1] < once[-1] / 8)),
+            verdict(bool(later[-1] < once[-1] / 8)),
             "holds",
             f"RMS error of b {once[-1]:.2%} from {FIRST} samples, {later[-1]:.2%} after {CHECKPOINTS[-1]}",
             f"an eighth; {np.sqrt(CHECKPOINTS[-1] / FIRST):.0f} times less by theory",

@@ -15,17 +15,17 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.mtm_lambda_kernels import ASYMMETRIC, RING_STEP, SYMMETRIC, F, OtherStrata, Unchecked, rings
 from experiments.support.sweep import Sweep
+from experiments.support.transitions import stationary
+from experiments.support.verdict import verdict
 from mcmc1d.metropolis import Metropolis
-from mcmc1d.moves import LinearStep, Move, MultipleTry, Rotated, SmallStep, Stratified, TruncatedStep, UniformStep
-from mcmc1d.moves.candidates import Candidates, Reverse, insert
-from mcmc1d.moves.multiple_try import SymmetricLambda, by_importance, by_target, evenly
+from mcmc1d.moves import LinearStep, Move, MultipleTry, SmallStep, Stratified, TruncatedStep, UniformStep
+from mcmc1d.moves.multiple_try import by_target, evenly
 from mcmc1d.targets import FromFunction, GaussianMixture
 from mcmc1d.techniques import Uniform
-from mcmc1d.types import Index
-from mcmc1d.verify import RingStep, enumerate_kernel, ring, transition_operator, verify
+from mcmc1d.verify import enumerate_kernel, ring, transition_operator, verify
 from mcmc1d.verify.goodness import total_variation
-from mcmc1d.verify.mutants.base import WrongMove
 from mcmc1d.verify.mutants.jumps import WrongDeterminant
 
 SOURCE = "Segovia et al. 2007"
@@ -51,10 +51,6 @@ class Config:
 
 PROFILES = {"quick": Config(), "paper": Config(cells=400, points=2**18, law_points=2**19, chains=2**20, replicas=2**17)}
 
-F = (1.0, 3.0, 0.5, 2.0, 4.0, 1.5)
-CHANCES = {1: 0.5, -1: 0.25, 3: 0.25}
-"""Lopsided, and with q(y given x) q(x given y) not the same for all pairs: 1 and 1/(qq) are different lambdas."""
-RING_STEP = RingStep(len(F), CHANCES)
 SIZES = (0.06, 0.12, 0.18, 0.25)
 SHAPES: dict[str, Callable[[float], Move]] = {
     "Gaussian": SmallStep,
@@ -64,93 +60,6 @@ SHAPES: dict[str, Callable[[float], Move]] = {
 TRIES = (1,)
 CLAMPED = ("with", "without", "without, p = 4")
 LINE = mcmc1d.Multiplexed(GaussianMixture([0.1, 0.45, 0.9], [0.08, 0.06, 0.12], [0.5, 0.2, 0.3]), Uniform())
-
-
-def _log_qq(x: mcmc1d.State, y: mcmc1d.State) -> jax.Array:
-    """The log of q(y given x) q(x given y) on the ring."""
-    n = len(F)
-    chances = np.array([CHANCES.get(k, 0) + CHANCES.get(k - n, 0) for k in range(n)])
-    table = np.log(np.maximum(chances * chances[-np.arange(n)], 1e-300))
-    offset = jnp.round((y.u[0] - x.u[0]) * n).astype(jnp.int32) % n
-    return jnp.asarray(table, x.u.dtype)[offset]
-
-
-SYMMETRIC = {
-    "1": SymmetricLambda(lambda x, y: 0.5 * _log_qq(x, y)),
-    "1/(qq)": SymmetricLambda(lambda x, y: -0.5 * _log_qq(x, y)),
-    "1/sqrt(qq)": by_importance,
-    "exp(cos 7(x-y) + xy)": SymmetricLambda(lambda x, y: jnp.cos(7 * (x.u[0] - y.u[0])) + x.u[0] * y.u[0]),
-}
-
-
-def _tilted(x: mcmc1d.State, y: mcmc1d.State, log_ratio: jax.Array) -> jax.Array:
-    """Lambda = exp(2 y) / sqrt(qq), which is not symmetric."""
-    return by_importance(x, y, log_ratio) + 2 * y.u[0]
-
-
-ASYMMETRIC = {"equal weights": evenly, "exp(2y)/sqrt(qq)": _tilted}
-
-
-class Unchecked(WrongMove):
-    """A multiple-try that `check` would refuse."""
-
-    right: MultipleTry
-
-    def check(self, target: mcmc1d.Multiplexed) -> None:
-        """Nothing is refused."""
-
-
-class OtherStrata(Candidates):
-    """Stratified candidates; the competitors in all strata but the chosen one's, wherever the way back lies."""
-
-    def dim(self, p: int, r: int) -> int:
-        return Stratified().dim(p, r)
-
-    def forth(self, p: int, r: int, w: jax.Array) -> jax.Array:
-        return Stratified().forth(p, r, w)
-
-    def back(self, p: int, r: int, w: jax.Array, k: Index, number: jax.Array) -> Reverse:
-        rows = insert(w.reshape(2 * p - 1, r)[p:], number, k)
-        return Reverse(Stratified().forth(p, r, rows.ravel()).at[k].set(number), k, w)
-
-
-class FreshCompetitors(Candidates):
-    """Quasi-random candidates, and competitors that are independent of where the way back lies."""
-
-    def dim(self, p: int, r: int) -> int:
-        return p * r
-
-    def forth(self, p: int, r: int, w: jax.Array) -> jax.Array:
-        return Rotated().forth(p, r, w[:r])
-
-    def back(self, p: int, r: int, w: jax.Array, k: Index, number: jax.Array) -> Reverse:
-        return Reverse(insert(w[r:].reshape(p - 1, r), number, k), k, w)
-
-
-def _stationary(matrix: np.ndarray) -> np.ndarray:
-    """The law that a matrix keeps."""
-    equations = np.vstack([matrix.T - np.eye(len(matrix)), np.ones(len(matrix))])
-    return np.linalg.lstsq(equations, np.append(np.zeros(len(matrix)), 1.0), rcond=None)[0]
-
-
-def _rings() -> dict[str, tuple[Move, list[int | None]]]:
-    """What is enumerated: each kernel, and how its numbers are told apart."""
-    made: dict[str, tuple[Move, list[int | None]]] = {"Metropolis": (RING_STEP, [4, None])}
-    made["one candidate"] = MultipleTry(RING_STEP, 1), [4, None, None]
-    plan = [4, 4, 4, None, None]
-    for name, weight in SYMMETRIC.items():
-        made[f"R_g: {name}"] = MultipleTry(RING_STEP, 2, weight, ratio="R_g"), plan
-    for name, weight in ASYMMETRIC.items():
-        made[f"R_g: {name}"] = Unchecked(MultipleTry(RING_STEP, 2, weight, ratio="R_g")), plan
-        made[f"intervals: {name}"] = MultipleTry(RING_STEP, 2, weight), plan
-    made["strata: left free"] = MultipleTry(RING_STEP, 2, by_importance, Stratified()), [2, 2, 2, None, None]
-    made["strata: all but the chosen"] = MultipleTry(RING_STEP, 2, by_importance, OtherStrata()), [2, 2, 2, None, None]
-    made["quasi-random: rotated"] = MultipleTry(RING_STEP, 2, by_importance, Rotated()), [None, None, None]
-    made["quasi-random: independent"] = (
-        MultipleTry(RING_STEP, 2, by_importance, FreshCompetitors()),
-        [None, 4, None, None],
-    )
-    return made
 
 
 def _witnesses(config: Config) -> dict[str, Move]:
@@ -168,13 +77,13 @@ def _witnesses(config: Config) -> dict[str, Move]:
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The ring, enumerated; the clamped Gaussian by the operator; perturbations compared; witnesses by `verify`."""
     target, states = ring(F)
-    rings = _rings()
+    kernels = rings()
     found = {}
-    for k, (name, (move, plan)) in enumerate(rings.items()):
+    for k, (name, (move, plan)) in enumerate(kernels.items()):
         # A break that is bisected shows only where what changes is chosen: it is looked for at many selectors.
         probes, inner = (17, 128) if plan[0] is None else (33, 8)
         found[name] = enumerate_kernel(Metropolis(move), target, states, plan, probes=probes, inner=inner)
-        progress("enumeration", k + 1, len(rings))
+        progress("enumeration", k + 1, len(kernels))
     refused = 0
     for weight in ASYMMETRIC.values():
         try:
@@ -182,7 +91,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         except ValueError:
             refused += 1
     data = {
-        "ring_tv": ("ring", [total_variation(_stationary(e.matrix), e.law) for e in found.values()]),
+        "ring_tv": ("ring", [total_variation(stationary(e.matrix), e.law) for e in found.values()]),
         "ring_residual": ("ring", [e.residual for e in found.values()]),
         "one_gap": np.abs(found["one candidate"].matrix - found["Metropolis"].matrix).max(),
         "refused": refused,
@@ -196,7 +105,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     return xr.Dataset(
         {**data, **_clamped(config, progress), **_shapes(config, seed, progress)},
         {
-            "ring": list(rings),
+            "ring": list(kernels),
             "witness": list(verdicts),
             "shape": list(SHAPES),
             "sd": list(SIZES),
@@ -344,7 +253,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     enumeration = "enumeration, p = 2, lopsided step; exact to 1e-12"
 
     def claim(name: str, statement: str, source: str, holds: bool, expected: str, number: str, held: str) -> Claim:
-        return Claim(f"mtm.{name}", statement, source, "holds" if holds else "fails", expected, number, held)
+        return Claim(f"mtm.{name}", statement, source, verdict(holds), expected, number, held)
 
     return [
         claim(

@@ -28,7 +28,11 @@ from mcmc1d.quadrature import integrate_plane
 from mcmc1d.targets import Ring, Target
 from mcmc1d.targets.planar import board, two_ridges
 from mcmc1d.techniques import ConcentricDisk, MarginalConditional, PolarDisk, Rectangle, Technique
-from mcmc1d.techniques.planar import EXAMPLES, outlines
+from mcmc1d.techniques.disk import EXAMPLES as DISKS
+from mcmc1d.techniques.planar import EXAMPLES as BOXES
+from mcmc1d.techniques.planar import outlines
+from mcmc1d.techniques.planar_table import EXAMPLES as TABLES
+from mcmc1d.techniques.triangle import EXAMPLES as TRIANGLES
 from mcmc1d.verify.goodness import p_value, smallest_gap, total_variation
 from mcmc1d.verify.mutants.jumps import no_jacobian
 
@@ -59,6 +63,8 @@ PROFILES = {
     "paper": Config(chains=2**15, steps=4096, replicas=2**18, points=10_000, trace_steps=10_000),
 }
 
+TECHNIQUES: dict[str, Technique] = BOXES | DISKS | TRIANGLES | TABLES
+"""The library's examples in the plane."""
 TARGETS: dict[str, Target] = {"ring": Ring(), "board": board()}
 CASES = (
     ("ring", "reversible jump"),
@@ -104,7 +110,7 @@ def moves(config: Config) -> dict[str, Move]:
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Contracts, verifications, histograms of right and wrong jumps, autocorrelation of three maps."""
-    contracts = both_cores(partial(_contract, config), EXAMPLES.values(), partial(progress, "contracts"))
+    contracts = both_cores(partial(_contract, config), TECHNIQUES.values(), partial(progress, "contracts"))
     targets = {name: multiplexed(target) for name, target in TARGETS.items()}
     kernels = moves(config)
 
@@ -150,7 +156,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "map_chance": (("walked", "chart"), chance),
         },
         {
-            "technique": list(EXAMPLES),
+            "technique": list(TECHNIQUES),
             "target": list(TARGETS),
             "case": [f"{move}, {name}" for name, move in CASES],
             "walked": list(WALKED),

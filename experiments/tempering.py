@@ -1,6 +1,5 @@
 """Serial tempering with any pseudo-prior and replica exchange: both keep the law of beta = 1, and cross barriers."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -15,6 +14,7 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
+from experiments.support.verdict import verdict
 from mcmc1d import tempering
 from mcmc1d.metropolis import Cycle, Deposits, Kernel, Metropolis, Step
 from mcmc1d.moves import Mixture, SmallStep, StepAndChange, TechniqueChange
@@ -164,23 +164,20 @@ def _errors(config: Config, method: str, key: jax.Array) -> np.ndarray:
     n, repeats = len(LADDER), config.repeats
     count, steps = (n * repeats, config.steps // n) if method == "parallel chains" else (repeats, config.steps)
     small = SmallStep(config.sigma)
-    weight: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda x, i: np.ones(i.shape)  # noqa: E731
-    where: Callable[[np.ndarray], np.ndarray] = lambda x: x  # noqa: E731
     left, index = np.full((count, 1), 0.25, np.float32), np.zeros(count, np.int32)
     if method == "serial tempering":
         target = tempering.ladder(TWO, LADDER)
         move = Mixture({"step": (0.7, small), "change": (0.3, TechniqueChange(NEIGHBOURS))})
-        weight = lambda x, i: (i == 0).astype(float)  # noqa: E731
     elif method == "replica exchange":
         target, left = tempering.replicas(TWO, LADDER), np.full((count, n), 0.25, np.float32)
         move = Mixture({"step": (0.7, CoordinateStep(config.sigma)), "swap": (0.3, Exchange())})
-        where = lambda x: x[..., 0]  # noqa: E731
     else:
         target, move = Multiplexed(TWO, mcmc1d.techniques.Uniform()), small
     start = State(jnp.asarray(index), jnp.asarray(left))
     found = mcmc1d.trace(key, move, target, steps=steps, chains=count, start=start)
-    counted = weight(found.x, found.index)
-    right = (where(found.x if found.x.shape[1] == count else np.moveaxis(found.x, -1, 1)) > RIGHT_MODE) * counted
+    counted = (found.index == 0).astype(float) if method == "serial tempering" else np.ones(found.index.shape)
+    x = found.x if found.x.shape[1] == count else np.moveaxis(found.x, -1, 1)
+    right = ((x[..., 0] if method == "replica exchange" else x) > RIGHT_MODE) * counted
     if method == "parallel chains":
         right, counted = (part.reshape(steps, repeats, n).sum(2) for part in (right, counted))
     sums, weights = (np.cumsum(part, axis=0) for part in (right, counted))
@@ -253,9 +250,6 @@ def judge(data: xr.Dataset) -> list[Claim]:
     worst = max(last["serial tempering"], last["replica exchange"])
     ok = bool(ladders.passed.all()) and float(data.quadrature.max()) < 1e-9 and operators < tolerance
 
-    def word(condition: bool) -> str:
-        return "holds" if condition else "fails"
-
     def held(here: xr.Dataset) -> str:
         return f"verify at 1e-5 detects a CDF gap of {float(here.gap.max()):.3f} with probability 0.99"
 
@@ -264,7 +258,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "tempering.any-prior",
             "Serial tempering samples f / b on the rung of temperature 1 with any pseudo-prior",
             "Marinari, Parisi 1992; Hachisuka et al. 2014, eq. 14",
-            word(ok and float(data.ring) < 1e-12),
+            verdict(ok and float(data.ring) < 1e-12),
             "holds",
             f"quadrature {float(data.quadrature.max()):.0e}; operators' TV {operators:.1e}; "
             f"ring {float(data.ring):.0e}; verify p {float(ladders.p.min()):.2g}",
@@ -274,7 +268,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "tempering.even-prior",
             "The pseudo-prior 1 / Z_beta makes every rung equally likely; another moves the time between rungs only",
             "Geyer, Thompson 1995, sec. 2.2",
-            word(even < 1e-9),
+            verdict(even < 1e-9),
             "holds",
             f"even to {even:.0e}; temperature 1 has {shares[0]:.0%}, {shares[1]:.0%} flat, {shares[2]:.0%} lopsided",
             "quadrature, 1e-9",
@@ -283,7 +277,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "tempering.replica-exchange",
             "Replica exchange keeps the product law, and f / b at temperature 1",
             "Geyer 1991; Swendsen, Wang 1986",
-            word(bool(replicas.passed) and right < tolerance),
+            verdict(bool(replicas.passed) and right < tolerance),
             "holds",
             f"operator's TV {right:.1e}; verify p {float(replicas.p):.2g}",
             f"TV {tolerance:.0e}; {held(replicas)}",
@@ -292,7 +286,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "tempering.swap-always",
             "Replicas may swap without looking at their temperatures",
             "ours; Geyer 1991",
-            word(wrong < tolerance),
+            verdict(wrong < tolerance),
             "fails",
             f"x at temperature 1 off by TV {wrong:.3f}",
             f"operator, TV {tolerance:.0e}",
@@ -301,7 +295,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "tempering.barrier",
             "At equal steps, started in one of two modes, tempering beats one chain and parallel chains of small steps",
             "Hachisuka et al. 2014, sec. 3.1",
-            word(worst < best / 2),
+            verdict(worst < best / 2),
             "holds",
             f"RMS error of a mode's mass after {int(data.step[-1])} steps: "
             + ", ".join(f"{m} {e:.3f}" for m, e in last.items()),

@@ -1,11 +1,13 @@
-"""Checks of what a user gives, which say what is wrong with it: instances, tables of densities, edges of bins."""
+"""Checks of what a user gives, which say what is wrong with it: instances, boxes, densities in tables, edges."""
 
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.numerics import is_concrete, require
+from mcmc1d.types import Float, Real
 
 
 def require_instance(value: Any, kind: type, who: str, fix: str = "") -> None:
@@ -13,6 +15,21 @@ def require_instance(value: Any, kind: type, who: str, fix: str = "") -> None:
     if isinstance(value, type):
         raise ValueError(f"{who}: give an instance, {value.__name__}(...), not the class {value.__name__}")
     require(isinstance(value, kind), f"{who} must be a {kind.__name__}, not a {type(value).__name__}{fix}")
+
+
+def require_box(owner: eqx.Module, lower: Float[Real, "..."], upper: Float[Real, "..."]) -> None:
+    """Raise `ValueError` unless the corners are those of a bounded box in the plane."""
+    name = type(owner).__name__
+    require(
+        np.shape(lower) == np.shape(upper) == (2,),
+        f"{name}: the corners must be points of the plane, not of shapes {np.shape(lower)} and {np.shape(upper)}",
+    )
+    if is_concrete(lower, upper):
+        a, b = np.asarray(lower), np.asarray(upper)
+        require(
+            bool(np.all(np.isfinite(a) & np.isfinite(b) & (a < b))),
+            f"{name}: the lower corner must lie under the upper one, both finite, not {a.tolist()} and {b.tolist()}",
+        )
 
 
 def density_table(name: str, edges: ArrayLike, values: ArrayLike, *, cells: bool) -> tuple[np.ndarray, np.ndarray]:

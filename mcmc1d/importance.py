@@ -56,7 +56,23 @@ class Product(Target):
         return f"Product: {undefined[0].complaint(x)}" if undefined else f"Product is undefined at x = {x}: 0 * inf"
 
 
-class Floor(Target):
+class OverBase(Target):
+    """An importance function made of one other, on the domain of that."""
+
+    base: eqx.AbstractVar[Target]
+
+    @property
+    def domain(self) -> Corners:
+        return self.base.domain
+
+    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+        return self.quadrature(edges)
+
+    def complaint(self, x: ArrayLike) -> str:
+        return self.base.complaint(x)
+
+
+class Floor(OverBase):
     """I = max(base, level): nothing of the domain is left without samples."""
 
     base: Target
@@ -69,10 +85,6 @@ class Floor(Target):
         require_positive(self, level=self.level)
 
     @property
-    def domain(self) -> Corners:
-        return self.base.domain
-
-    @property
     def breaks(self) -> tuple[float, ...]:
         return tuple(sorted({*self.base.breaks, *self.kinks}))
 
@@ -82,14 +94,8 @@ class Floor(Target):
         # `maximum` hands a NaN of the base on.
         return jnp.where(inside, jnp.maximum(self.base.log_f(x), jnp.log(jnp.asarray(self.level))), -jnp.inf)
 
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
-        return self.quadrature(edges)
 
-    def complaint(self, x: ArrayLike) -> str:
-        return self.base.complaint(x)
-
-
-class Shader(Target):
+class Shader(OverBase):
     """I = base, times `factor` where a predicate of x holds: an importance shader (section 4.1, which has 10)."""
 
     base: Target
@@ -108,21 +114,11 @@ class Shader(Target):
             )
 
     @property
-    def domain(self) -> Corners:
-        return self.base.domain
-
-    @property
     def breaks(self) -> tuple[float, ...]:
         return tuple(sorted({*self.base.breaks, *self.kinks}))
 
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         return self.base.log_f(x) + jnp.where(self.predicate(x), jnp.log(jnp.asarray(self.factor)), 0)
-
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
-        return self.quadrature(edges)
-
-    def complaint(self, x: ArrayLike) -> str:
-        return self.base.complaint(x)
 
 
 class Regions(Target):

@@ -3,7 +3,7 @@
 import abc
 import itertools
 from collections.abc import Sequence
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 import equinox as eqx
 import jax
@@ -14,6 +14,9 @@ from mcmc1d.moves import Move, Proposal
 from mcmc1d.numerics import in_unit_cube, require
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Scalar
+
+T = TypeVar("T")
+M = TypeVar("M", bound=Move)
 
 
 class Deposits(eqx.Module):
@@ -63,7 +66,20 @@ class Kernel(eqx.Module):
         """Raise `ValueError` where the kernel does not fit the target."""
 
 
-class Metropolis(Kernel):
+class OfMove(Kernel, Generic[M]):
+    """A kernel that accepts or rejects what one move proposes: a further uniform number, and the move's kinds."""
+
+    move: eqx.AbstractVar[M]
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        return self.move.kinds
+
+    def dim_w(self, target: Multiplexed) -> int:
+        return self.move.dim_w(target) + 1
+
+
+class Metropolis(OfMove[Move]):
     """Propose with a move, accept with the Metropolis-Hastings-Green probability, deposit.
 
     `deposit="expected"` puts 1 - a on the current state and a on the proposed one (Veach and Guibas 1997), `"plain"`
@@ -79,13 +95,6 @@ class Metropolis(Kernel):
             self.deposit in ("expected", "plain"),
             f'Metropolis: deposit must be "expected" or "plain", not {self.deposit!r}',
         )
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        return self.move.kinds
-
-    def dim_w(self, target: Multiplexed) -> int:
-        return self.move.dim_w(target) + 1
 
     def check(self, target: Multiplexed) -> None:
         self.move.check(target)
@@ -138,8 +147,12 @@ class Cycle(Kernel):
             deposits.append(eqx.tree_at(lambda d: d.weight, step.deposits, weight))
             infos.append(eqx.tree_at(lambda i: i.kind, step.info, step.info.kind + kinds))
             kinds += len(kernel.kinds)
-        join = lambda *parts: jnp.concatenate(parts)  # noqa: E731
-        return Step(state, jax.tree.map(join, *deposits), jax.tree.map(join, *infos))
+        return Step(state, _join(deposits), _join(infos))
+
+
+def _join(parts: list[T]) -> T:
+    """Trees of one structure as one, end to end."""
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
 def acceptance(state: State, proposal: Proposal) -> Scalar:

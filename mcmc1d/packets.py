@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance
-from mcmc1d.metropolis import Deposits, Info, Kernel, Step, accept
+from mcmc1d.metropolis import Deposits, Info, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, MultipleTry, Proposal, SmallStep
 from mcmc1d.moves.candidates import insert
 from mcmc1d.moves.multiple_try import around, possible, row
@@ -14,7 +14,7 @@ from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 
 
-class PublishedDeposit(Kernel):
+class PublishedDeposit(OfMove[MultipleTry]):
     """Multiple-try with the deposits of Segovia, Iehl, Peroche 2007, section 5.2: biased for two candidates or more.
 
     Every candidate gets R_g times its share of the weights around x, every competitor, the current state among them,
@@ -26,13 +26,6 @@ class PublishedDeposit(Kernel):
 
     def __check_init__(self):
         require_instance(self.move, MultipleTry, "PublishedDeposit: the move")
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        return self.move.kinds
-
-    def dim_w(self, target: Multiplexed) -> int:
-        return self.move.dim_w(target) + 1
 
     def check(self, target: Multiplexed) -> None:
         self.move.check(target)

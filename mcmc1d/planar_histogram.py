@@ -74,7 +74,7 @@ class _Shares(eqx.Module):
     target: Multiplexed
 
     def __call__(self, x: Float[Array, " 2"]) -> Float[Array, " n"]:
-        log_p = tuple(technique.log_prob(x) for technique in self.target.techniques)
+        log_p = self.target.family.log_probs(x)
         weights = jnp.exp(jnp.stack(list(self.target.log_weights(x, log_p))))
         f = DensityOf(self.target.target)(x)
         return jnp.where(f > 0, weights * f, 0)

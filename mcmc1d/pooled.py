@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance, rising
-from mcmc1d.metropolis import Deposits, Kernel, Step, accept
+from mcmc1d.metropolis import Deposits, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, SmallStep
 from mcmc1d.numerics import cast, log_sum, require
 from mcmc1d.quadrature import integrate
@@ -141,7 +141,7 @@ def integral(target: Target) -> float:
     return float(integrate(DensityOf(target), np.asarray(target.domain, np.float64), target.breaks)[0].sum())
 
 
-class PooledDeposit(Kernel):
+class PooledDeposit(OfMove[Move]):
     """Step u, and deposit the samples of all techniques, of the current and the proposed u (expected values).
 
     Sample i of u gets C_i(u) / C(u), times 1 - a for the current and a for the proposed u. Their expectation over the
@@ -153,13 +153,6 @@ class PooledDeposit(Kernel):
 
     def __check_init__(self):
         require_instance(self.move, Move, "PooledDeposit: the move")
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        return self.move.kinds
-
-    def dim_w(self, target: Multiplexed) -> int:
-        return self.move.dim_w(target) + 1
 
     def check(self, target: Multiplexed) -> None:
         require_instance(target.target, Pooled, "PooledDeposit: the chain's target", "; see pooled()")

@@ -9,9 +9,9 @@ import numpy as np
 
 from mcmc1d.checks import require_instance, rising
 from mcmc1d.numerics import cast, is_concrete, pick, require
-from mcmc1d.quadrature import integrate, midpoints
+from mcmc1d.quadrature import integrate
 from mcmc1d.targets import DensityOf, Target
-from mcmc1d.techniques import Technique, sample_shape
+from mcmc1d.techniques import Family, Several, Technique, sample_shape
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 from mcmc1d.weights import Balance, FromFunction, Weights
 
@@ -62,23 +62,24 @@ class Multiplexed(eqx.Module):
     """
 
     target: Target
-    techniques: tuple[Technique, ...]
+    family: Family
     weights: Weights
 
     def __init__(
         self,
         target: Target,
-        techniques: Technique | Sequence[Technique],
+        techniques: Technique | Sequence[Technique] | Family,
         weights: Weights | Callable[[Array, Array], Array] | None = None,
         *,
         probes: int = 2048,
     ):
-        """`weights`: the balance heuristic unless given; a function (x, p[n]) -> w[n] will do."""
+        """`weights`: the balance heuristic unless given; a function (x, p[n]) -> w[n] will do.
+
+        `techniques`: one, several, or a `Family` of those that share their work.
+        """
         require_instance(target, Target, "Multiplexed: the target", "; FromFunction makes one of a function")
         self.target = target
-        self.techniques = tuple(techniques) if isinstance(techniques, Sequence) else (techniques,)
-        for technique in self.techniques:
-            require_instance(technique, Technique, "Multiplexed: a technique")
+        self.family = techniques if isinstance(techniques, Family) else Several(techniques)
         if weights is None:
             weights = Balance()
         self.weights = weights if isinstance(weights, Weights) else FromFunction(weights)
@@ -88,8 +89,13 @@ class Multiplexed(eqx.Module):
             len(shapes) == 1,
             f"Multiplexed: the target's points and the techniques' samples must have one shape, not {sorted(shapes)}",
         )
-        if is_concrete(self.target, self.techniques, self.weights):
+        if is_concrete(self.target, self.family, self.weights):
             _probe(self, probes)
+
+    @property
+    def techniques(self) -> tuple[Technique, ...]:
+        """The techniques, in the order of the index."""
+        return self.family.members
 
     @property
     def n_techniques(self) -> int:
@@ -99,7 +105,7 @@ class Multiplexed(eqx.Module):
     @property
     def dim_u(self) -> int:
         """m, the length of the state's u."""
-        return max(technique.dim_u for technique in self.techniques)
+        return self.family.dim_u
 
     @property
     def dim_v(self) -> int:
@@ -115,27 +121,18 @@ class Multiplexed(eqx.Module):
 
     def forward(self, index: Index, u: Float[Array, " m"]) -> tuple[Array, Array, Scalar]:
         """(x, v, log|d(x, v)/du|) of technique `index`; what it does not read of u closes its v."""
-        options = []
-        for technique in self.techniques:
-            x, v, log_det = technique.forward(u[: technique.dim_u])
-            options.append((x, jnp.concatenate([v, u[technique.dim_u :]]), log_det))
-        return pick(options, index)
+        return self.family.forward(index, u)
 
     def inverse(self, index: Index, x: Float[Array, "..."], v: Float[Array, " k"]) -> tuple[Array, Scalar]:
         """(u, log|du/d(x, v)|) of technique `index`, the inverse of `forward`."""
-        options = []
-        for technique in self.techniques:
-            k = self.dim_v - (self.dim_u - technique.dim_u)
-            u, log_det = technique.inverse(x, v[:k])
-            options.append((jnp.concatenate([u, v[k:]]), log_det))
-        return pick(options, index)
+        return self.family.inverse(index, x, v)
 
     def evaluate(self, state: State) -> State:
         """The state with its `eval` filled in; as it is where that has been done."""
         if state.eval is not None:
             return state
         x, v, log_det = self.forward(state.index, state.u)
-        log_p = tuple(technique.log_prob(x) for technique in self.techniques)
+        log_p = self.family.log_probs(x)
         log_f = self.target.log_f(x)
         return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, self.log_c(state.index, x, log_f, log_p)))
 
@@ -177,7 +174,7 @@ class _Shares(eqx.Module):
     target: Multiplexed
 
     def __call__(self, x: Scalar) -> Float[Array, " n"]:
-        log_p = tuple(technique.log_prob(x) for technique in self.target.techniques)
+        log_p = self.target.family.log_probs(x)
         weights = jnp.exp(jnp.stack(list(self.target.weights.log_weights(x, log_p))))
         f = DensityOf(self.target.target)(x)
         return jnp.where(f > 0, weights * f, 0)
@@ -188,7 +185,7 @@ def _look(target: Multiplexed, points: Float[Array, "n ..."]) -> tuple[Array, Ar
     """Log f, p and log w at each point."""
 
     def at(x: Float[Array, "..."]) -> tuple[Array, Array, Array]:
-        log_p = tuple(technique.log_prob(x) for technique in target.techniques)
+        log_p = target.family.log_probs(x)
         return target.target.log_f(x), jnp.stack(log_p), jnp.stack(list(target.weights.log_weights(x, log_p)))
 
     return jax.vmap(at)(points)
@@ -196,7 +193,7 @@ def _look(target: Multiplexed, points: Float[Array, "n ..."]) -> tuple[Array, Ar
 
 def _probe(target: Multiplexed, probes: int) -> None:
     """Raise `ValueError` for what no chain could sample, naming the thing and the first point."""
-    points = midpoints(*target.target.domain, probes)
+    points = target.family.probes(target.target.domain, probes)
     with jax.enable_x64(True):
         log_f, log_p, log_w = (np.asarray(a) for a in _look(cast(target, jnp.float64), jnp.asarray(points)))
     name = type(target.target).__name__

@@ -33,7 +33,7 @@ def test_readme_examples_run_and_pass(capsys):
         exec(block, names)
     out = capsys.readouterr().out
     assert "technique Cubic: PASS" in out
-    assert "move TruncatedStep on GaussianMixture: PASS" in out
+    assert "move FactorStep on GaussianMixture: PASS" in out
     assert check_technique(names["Disk"](), points=2000)
     run, exact = names["run"], names["exact"]
     # 40 cells within 5 standard errors from 8 blocks (t, 7 degrees of freedom): a false alarm has probability 0.06 at

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from experiments.pss_sampler import G, lazy_errors, merged_draws, product, product_law, under_test
+from experiments.support.pss_sampler_law import G, merged_draws, product, product_law, under_test
+from experiments.support.pss_sampler_references import lazy_errors
 from mcmc1d import lazy
 from mcmc1d.lazy import LazySampler
 from mcmc1d.verify import verify

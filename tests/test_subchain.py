@@ -24,10 +24,10 @@ BOTH = Mixture({"large": (0.3, StepAndChange(LargeStep())), "small": (0.7, StepA
 HARD = mcmc1d.Multiplexed(Sinusoid(0.9, 1.5, 0.1), (Tent(), Uniform()))
 
 
-class AtTheProposal(Kernel):
-    """A sub-chain that starts where the main chain has proposed to go, accepted or not."""
+class Twin(Kernel):
+    """A kernel that is `right` in everything but its step."""
 
-    right: SubChain
+    right: eqx.AbstractVar[Kernel]
 
     @property
     def kinds(self):
@@ -38,6 +38,12 @@ class AtTheProposal(Kernel):
 
     def check(self, target):
         self.right.check(target)
+
+
+class AtTheProposal(Twin):
+    """A sub-chain that starts where the main chain has proposed to go, accepted or not."""
+
+    right: SubChain
 
     def step(self, target, state, w):
         move = self.right.outer.move
@@ -48,20 +54,10 @@ class AtTheProposal(Kernel):
         return eqx.tree_at(lambda s: s.deposits, main, inner.deposits)
 
 
-class AllOfIt(Kernel):
+class AllOfIt(Twin):
     """A split sample that gives everything to the proposals, in proportion to their R_i, and keeps nothing."""
 
     right: SplitSample
-
-    @property
-    def kinds(self):
-        return self.right.kinds
-
-    def dim_w(self, target):
-        return self.right.dim_w(target)
-
-    def check(self, target):
-        self.right.check(target)
 
     def step(self, target, state, w):
         step = self.right.step(target, state, w)

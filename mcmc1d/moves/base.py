@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
+from mcmc1d.numerics import wrap
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index, Scalar
 
@@ -47,6 +48,19 @@ class Move(eqx.Module):
     def kinds(self) -> tuple[str, ...]:
         """The names that `Proposal.kind` counts through."""
         return (type(self).__name__,)
+
+
+class EachNumber(Move):
+    """A move that consumes one uniform number for each coordinate of u."""
+
+    def dim_w(self, target: Multiplexed) -> int:
+        return target.dim_u
+
+
+def around_the_ends(state: State, step: Float[Array, " m"], w: Float[Array, " m"]) -> Proposal:
+    """The proposal of wrap(u + step), around the ends, with the numbers `w` of the step back: log-determinant 0."""
+    u = wrap(state.u + step)
+    return Proposal(State(state.index, u), w, zero(u))
 
 
 def zero(u: Float[Array, " m"]) -> Scalar:

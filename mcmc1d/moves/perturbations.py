@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.special import ndtr
 
-from mcmc1d.moves.base import Move, Proposal, zero
-from mcmc1d.numerics import parameter, require_positive, wrap
+from mcmc1d.moves.base import EachNumber, Proposal, around_the_ends
+from mcmc1d.numerics import parameter, require_positive
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.techniques import TruncatedNormal
 from mcmc1d.types import Array, Float, Scalar
 
 
-class TruncatedStep(Move):
+class TruncatedStep(EachNumber):
     """A Gaussian step of every coordinate, cut to the unit interval ("clamped"): q(u' given u) = N(u'; u, s^2) / Z(u).
 
     The normaliser Z(u) = Phi((1 - u) / s) - Phi(-u / s) depends on where the step starts, and so the log-determinant
@@ -27,9 +27,6 @@ class TruncatedStep(Move):
 
     def __check_init__(self):
         require_positive(self, sigma=self.sigma)
-
-    def dim_w(self, target: Multiplexed) -> int:
-        return target.dim_u
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
         u = jax.vmap(lambda centre, place: self._around(centre).quantile(place))(state.u, w)
@@ -44,7 +41,7 @@ class TruncatedStep(Move):
         return TruncatedNormal(centre, jnp.asarray(self.sigma, centre.dtype))
 
 
-class UniformStep(Move):
+class UniformStep(EachNumber):
     """u' = wrap(u + width (w - 1/2)), w' = 1 - w: a uniform step, of standard deviation width / sqrt(12)."""
 
     width: Scalar = eqx.field(converter=parameter, default=0.2)
@@ -52,15 +49,11 @@ class UniformStep(Move):
     def __check_init__(self):
         require_positive(self, width=self.width)
 
-    def dim_w(self, target: Multiplexed) -> int:
-        return target.dim_u
-
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
-        u = wrap(state.u + self.width * (w - 0.5))
-        return Proposal(State(state.index, u), 1 - w, zero(u))
+        return around_the_ends(state, self.width * (w - 0.5), 1 - w)
 
 
-class LinearStep(Move):
+class LinearStep(EachNumber):
     """A step whose density falls linearly from 0 to +-width / 2, around the ends; standard deviation width / sqrt(24).
 
     By the quantile of that tent, which is odd about w = 1/2; w' = 1 - w.
@@ -71,14 +64,10 @@ class LinearStep(Move):
     def __check_init__(self):
         require_positive(self, width=self.width)
 
-    def dim_w(self, target: Multiplexed) -> int:
-        return target.dim_u
-
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
         up = w >= 0.5
         reach = 1 - jnp.sqrt(2 * jnp.where(up, 1 - w, w))
-        u = wrap(state.u + 0.5 * self.width * jnp.where(up, reach, -reach))
-        return Proposal(State(state.index, u), 1 - w, zero(u))
+        return around_the_ends(state, 0.5 * self.width * jnp.where(up, reach, -reach), 1 - w)
 
 
 EXAMPLES = {

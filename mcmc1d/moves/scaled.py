@@ -4,13 +4,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.special import ndtr
 
-from mcmc1d.moves.base import Move, Proposal
+from mcmc1d.moves.base import EachNumber, Proposal
 from mcmc1d.numerics import normal_quantile, parameter, require_positive, wrap
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 
 
-class ScaledStep(Move):
+class ScaledStep(EachNumber):
     """u' = wrap(u + s(u) z), z = Phi^-1(w), with s(u) = sigma |du/d(x, v)|^(1/m): about sigma z in x, wherever it is.
 
     Bitterli et al. 2017, section 8.2. For one number s(u) = sigma p(x). The way back has the size at u', so z' = -z
@@ -24,9 +24,6 @@ class ScaledStep(Move):
 
     def __check_init__(self):
         require_positive(self, sigma=self.sigma)
-
-    def dim_w(self, target: Multiplexed) -> int:
-        return target.dim_u
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
         z, here = normal_quantile(w), self._log_size(target, state)

@@ -6,8 +6,8 @@ import numpy as np
 from jax.nn import logsumexp
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import density_table, rising
-from mcmc1d.numerics import is_concrete, parameter, require, require_positive
+from mcmc1d.checks import density_table, require_box, rising
+from mcmc1d.numerics import parameter, require, require_positive
 from mcmc1d.quadrature import Outline
 from mcmc1d.targets.base import Edges, Target
 from mcmc1d.types import Corners, Float, Real, Scalar
@@ -34,7 +34,7 @@ class RotatedMixture(Target):
             f"RotatedMixture: {n} weights need means and sigmas of shape ({n}, 2) and {n} angles, not {shapes}",
         )
         require_positive(self, sigmas=self.sigmas, weights=self.weights)
-        _require_box(self, self.lower, self.upper)
+        require_box(self, self.lower, self.upper)
 
     @property
     def domain(self) -> Corners:
@@ -68,7 +68,7 @@ class Ring(Target):
 
     def __check_init__(self):
         require_positive(self, radius=self.radius, width=self.width)
-        _require_box(self, self.lower, self.upper)
+        require_box(self, self.lower, self.upper)
 
     @property
     def domain(self) -> Corners:
@@ -93,7 +93,7 @@ class Banana(Target):
 
     def __check_init__(self):
         require_positive(self, noise=self.noise)
-        _require_box(self, self.lower, self.upper)
+        require_box(self, self.lower, self.upper)
 
     @property
     def domain(self) -> Corners:
@@ -123,7 +123,7 @@ class Checkerboard(Target):
         )
         density_table("Checkerboard", np.arange(table.size + 1), table.ravel(), cells=True)
         self.values, self.lower, self.upper = table, parameter(lower), parameter(upper)
-        _require_box(self, self.lower, self.upper)
+        require_box(self, self.lower, self.upper)
 
     @property
     def domain(self) -> Corners:
@@ -156,19 +156,6 @@ def _overlaps(edges: np.ndarray, lines: np.ndarray) -> np.ndarray:
 
 def _on_box(target: "RotatedMixture | Ring | Banana | Checkerboard", x: Float[Real, " 2"], log_f: Scalar) -> Scalar:
     return jnp.where(jnp.all((x >= target.lower) & (x <= target.upper)), log_f, -jnp.inf)
-
-
-def _require_box(owner: eqx.Module, lower: Float[Real, "..."], upper: Float[Real, "..."]) -> None:
-    shapes = np.shape(lower), np.shape(upper)
-    require(
-        shapes == ((2,), (2,)),
-        f"{type(owner).__name__}: the corners must be points of the plane, not of shapes {shapes}",
-    )
-    if is_concrete(lower, upper):
-        require(
-            bool(np.all(np.asarray(lower) < np.asarray(upper))),
-            f"{type(owner).__name__}: the lower corner must lie under the upper one, not {lower} and {upper}",
-        )
 
 
 def two_ridges() -> RotatedMixture:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance
 from mcmc1d.numerics import require
@@ -40,8 +41,7 @@ class Product(Technique):
     @property
     def support(self) -> Corners:
         lowers, uppers = zip(*(technique.support for technique in self.techniques), strict=True)
-        join = lambda ends: np.concatenate([np.atleast_1d(np.asarray(end)) for end in ends])  # noqa: E731
-        return join(lowers), join(uppers)
+        return _corner(lowers), _corner(uppers)
 
     def forward(self, u: Float[Array, " m"]) -> Forward:
         parts = [t.forward(own) for t, own in zip(self.techniques, _cut(u, self._reads()), strict=True)]
@@ -74,6 +74,11 @@ def cube(m: int) -> Technique:
 
     require(m >= 1, f"a cube has one dimension at least, not {m}")
     return Uniform() if m == 1 else Product((Uniform(),) * m)
+
+
+def _corner(ends: Sequence[ArrayLike]) -> np.ndarray:
+    """The parts of a corner, each a number or a point, end to end."""
+    return np.concatenate([np.atleast_1d(np.asarray(end)) for end in ends])
 
 
 def _cut(numbers: Float[Array, " n"], sizes: Sequence[int]) -> list[Array]:

@@ -1,8 +1,8 @@
 """`verify`: a verdict with an error rate, for any kernel whose stationary law is known exactly."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -14,7 +14,7 @@ from mcmc1d.verify.battery import OneSample, Test, TwoSample, coordinates
 from mcmc1d.verify.design import auxiliary, design
 from mcmc1d.verify.diagnose import diagnose
 from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
-from mcmc1d.verify.law import Position, as_law
+from mcmc1d.verify.law import Position, Statistic, as_law
 from mcmc1d.verify.ledger import Ledger, Scheme
 from mcmc1d.verify.library import LibrarySubject
 from mcmc1d.verify.report import Report, Result, Verdict
@@ -48,6 +48,7 @@ def verify(
     ergodic: bool = True,
     deposits: Callable | None = None,
     max_weight: float = 1.0,
+    statistics: Mapping[str, Statistic] | None = None,
     name: str = "",
     ledger: Ledger | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -79,6 +80,7 @@ def verify(
         deposits: `(state, info) -> (points, weights)` of a JAX kernel: what an estimator adds up after each step. Its
             expectation must be the law's.
         max_weight: a bound on the deposits' total weight in a step.
+        statistics: what else is known exactly of the law's positions, by name; see `Law.statistics`.
         name: of the test; the random numbers derive from it and from the seed.
         ledger: deals out the level.
         progress: called with the replicas done and the replicas of the stage.
@@ -89,6 +91,7 @@ def verify(
     """
     began = time.perf_counter()
     law = as_law(target)
+    law = replace(law, statistics={**law.statistics, **(statistics or {})})
     subject = as_subject(kernel, target, law, reversible=reversible, deposits=deposits, max_weight=max_weight)
     require(
         isinstance(steps, Sequence) and list(steps) == sorted(set(steps)) and len(steps) > 0 and steps[0] >= 1,

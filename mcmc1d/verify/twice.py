@@ -76,7 +76,7 @@ class Twice(eqx.Module):
 
     def _felt(self, x: Array) -> Scalar:
         def log_p(x: Array) -> Array:
-            return jnp.stack([still(technique.log_prob(x)) for technique in self.target.techniques])
+            return jnp.stack([still(log_p) for log_p in self.target.family.log_probs(x)])
 
         return jnp.max(jnp.abs(jax.jacfwd(log_p)(x) * x[None]))
 

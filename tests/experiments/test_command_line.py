@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,32 +11,39 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from experiments import __main__ as command_line
+
 ROOT = Path(__file__).parents[2]
-TINY = [
-    f"--set={field}"
-    for field in (
-        "replicas=2048",
-        "replica_steps=4",
-        "chains=1024",
-        "steps=8",
-        "trace_steps=64",
-        "blocks=4",
-        "operator_points=262144",
-    )
-]
+TINY = [f"--set={field}" for field in ("runs=16", "alarms=4", "confidence=0")]
+"""Of `calibration`, which compiles one kernel. At no confidence every p-value counts as too small: both claims fail."""
 
 
 def experiments(*arguments, cwd=ROOT):
+    """The command as a user gives it, in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(ROOT / ".cache"), "COLUMNS": "200"}
     command = [sys.executable, "-m", "experiments", *map(str, arguments)]
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.fixture
+def inside(monkeypatch, capsys):
+    """The command in this process, which has imported all that it needs: (exit code, output, errors)."""
+    monkeypatch.setattr(command_line, "keep_compiled", lambda folder: None)  # the tests keep compiled code elsewhere
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["experiments", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            command_line.main()
+        return ended.value.code, *capsys.readouterr()
+
+    return run
+
+
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory):
-    """Two runs at one seed, too short to tell right from wrong: the command must say so with exit code 1."""
+    """Two runs at one seed, each of which finds what theory does not predict."""
     folders = [tmp_path_factory.mktemp("out") / "made" for _ in range(2)]
-    return folders, [experiments("run", "rjmlt_fig3", "--seed", 3, "--out", folder, *TINY) for folder in folders]
+    return folders, [experiments("run", "calibration", "--seed", 3, "--out", folder, *TINY) for folder in folders]
 
 
 def test_a_verdict_that_theory_does_not_predict_exits_with_1(tiny):
@@ -47,33 +55,44 @@ def test_a_verdict_that_theory_does_not_predict_exits_with_1(tiny):
 def test_it_writes_four_files_and_nothing_else(tiny):
     folders, _ = tiny
     assert sorted(path.name for path in folders[0].iterdir()) == [
-        f"rjmlt_fig3.{suffix}" for suffix in ("json", "nc", "pdf", "png")
+        f"calibration.{suffix}" for suffix in ("json", "nc", "pdf", "png")
     ]
 
 
 def test_the_same_seed_gives_the_same_numbers(tiny):
     folders, _ = tiny
-    first, second = (xr.load_dataset(folder / "rjmlt_fig3.nc", engine="h5netcdf") for folder in folders)
+    first, second = (xr.load_dataset(folder / "calibration.nc", engine="h5netcdf") for folder in folders)
     assert first.identical(second)
-    assert np.isfinite(first.joint).all()
+    assert np.isfinite(first.p_value).all()
 
 
 def test_the_manifest_says_how_to_get_them_again(tiny):
     folders, _ = tiny
-    record = json.loads((folders[0] / "rjmlt_fig3.json").read_text())
+    record = json.loads((folders[0] / "calibration.json").read_text())
     assert record["seed"] == 3
-    assert record["config"]["replicas"] == 2048
+    assert (record["config"]["runs"], record["config"]["replicas"]) == (16, 512)
     assert {"jax", "mcmc1d", "python"} <= set(record["versions"])
-    assert len(record["claims"]) == 8
+    assert [claim["verdict"] for claim in record["claims"]] == ["fails", "fails"]
 
 
-def test_claims_are_read_from_the_results(tiny):
+def test_claims_are_read_from_the_results(tiny, inside):
     folders, _ = tiny
-    shown = experiments("claims", "--out", folders[0])
-    assert shown.returncode == 0
-    assert "rjmlt.full-aimed" in shown.stdout
-    as_json = json.loads(experiments("claims", "--json", "--out", folders[0]).stdout)
-    assert {claim["id"] for claim in as_json} >= {"rjmlt.no-jacobian", "rjmlt.fixed-point"}
+    code, shown, _ = inside("claims", "--out", folders[0])
+    assert code == 0
+    assert "verify.super-uniform" in shown
+    as_json = json.loads(inside("claims", "--json", "--out", folders[0])[1])
+    assert {claim["id"] for claim in as_json} >= {"verify.super-uniform", "verify.level"}
+
+
+def test_draw_judges_the_committed_data_again_and_finds_the_same(inside, tmp_path):
+    for suffix in ("nc", "json"):
+        shutil.copy(ROOT / "figures" / f"rjmlt_fig3.{suffix}", tmp_path)
+    code, shown, _ = inside("draw", "rjmlt_fig3", "--out", tmp_path)
+    assert code == 0
+    assert "rjmlt.full-aimed" in shown
+    assert (tmp_path / "rjmlt_fig3.pdf").read_bytes().startswith(b"%PDF")
+    now, before = (json.loads((folder / "rjmlt_fig3.json").read_text()) for folder in (tmp_path, ROOT / "figures"))
+    assert now["claims"] == before["claims"]
 
 
 def test_list_names_experiments_and_fields():
@@ -96,10 +115,18 @@ def test_list_names_experiments_and_fields():
         (["claims", "--out", "/nonexistent"], "no results in /nonexistent"),
     ],
 )
-def test_a_wrong_request_is_one_line_and_exit_code_2(arguments, message, tmp_path):
+def test_a_wrong_request_is_one_line_and_exit_code_2(arguments, message, tmp_path, inside):
     arguments = [*arguments, "--out", tmp_path] if arguments[0] == "run" and "--out" not in arguments else arguments
-    refused = experiments(*arguments)
-    assert refused.returncode == 2
-    assert message in refused.stderr
-    assert len(refused.stderr.strip().splitlines()) == 1
+    code, _, err = inside(*arguments)
+    assert code == 2
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_wrong_request_as_a_user_makes_it():
+    """Nothing else is printed, by an import or at the end, and the exit code is the process's."""
+    refused = experiments("run", "nonsense")
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("error: there is no experiment 'nonsense'; known: adaptation")
+    assert len(refused.stderr.strip().splitlines()) == 1

@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from discover import examples
+from discover import examples, nested_types
 
 from mcmc1d.quadrature import integrate_plane
 from mcmc1d.techniques import (
     ConcentricDisk,
     MarginalConditional,
     Mixture,
+    Planar,
     PolarDisk,
     ProjectedCap,
     Rectangle,
@@ -21,7 +22,11 @@ from mcmc1d.techniques import (
 from mcmc1d.techniques.planar import outlines
 from mcmc1d.verify import check_technique
 
-PLANAR = {name: t for name, t in examples("mcmc1d.techniques").items() if name.startswith("techniques.planar-")}
+PLANAR = {
+    name: technique
+    for name, technique in examples("mcmc1d.techniques").items()
+    if any(issubclass(kind, Planar) for kind in nested_types(technique))
+}
 TABLE = MarginalConditional([[1, 2, 0.5], [0, 0, 0], [4, 0, 1]], (-1, 0), (1, 3))
 PLANAR["disk over a table"] = Mixture((TABLE, PolarDisk((0.2, 0.8), 1.1)), (0.6, 0.4))
 

@@ -1,0 +1,101 @@
+"""The three lengths of `mmlt_usage`: one chain over them or one each, and their b_k, estimated once or all along."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import mcmc1d
+from mcmc1d.estimators import Estimator
+from mcmc1d.metropolis import Kernel, Step
+from mcmc1d.moves import LargeStep, Mixture, Move, SmallStep, StepAndChange
+from mcmc1d.state import Multiplexed
+from mcmc1d.targets import FromFunction, Target
+from mcmc1d.techniques import Uniform
+from mcmc1d.tempering import over_parts
+
+LENGTHS: tuple[Target, ...] = (
+    FromFunction(lambda x: 1 + x),
+    FromFunction(lambda x: 2 * x**3),
+    FromFunction(lambda x: jnp.where(x > 0.98, 2.0, 0.0), breaks=(0.98,)),
+)
+"""What stands for the paths of three lengths; the last is lit for one sample in fifty."""
+FIRST = 64
+"""Samples of each length that estimate b_k at the start."""
+CHECKPOINTS = (64, 256, 1024, 4096, 16384)
+
+
+class Apart(Estimator):
+    """The deposits' weight in each bin of a scalar x, for each of `count` chains by itself: sums (count, bins)."""
+
+    edges: np.ndarray
+    count: int = eqx.field(static=True)
+
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> jax.Array:
+        return jnp.zeros((self.count, len(self.edges) - 1), dtype)
+
+    def update(self, sums: jax.Array, steps: Step) -> jax.Array:
+        x, weight = steps.deposits.x, steps.deposits.weight
+        edges = jnp.asarray(self.edges, x.dtype)
+        cell = jnp.clip(jnp.searchsorted(edges, x, side="right") - 1, 0, sums.shape[1] - 1)
+        return sums.at[jnp.broadcast_to(jnp.arange(self.count), cell.shape), cell].add(weight)
+
+
+def histograms(
+    key: jax.Array, kernel: Kernel | Move, target: Multiplexed, edges: np.ndarray, steps: int, repeats: int
+) -> np.ndarray:
+    """The histogram of each of many short chains by itself, (repeats, bins)."""
+    apart = {"x": Apart(edges, repeats)}
+    found = mcmc1d.run(key, kernel, target, steps=steps, chains=repeats, blocks=1, estimators=apart)
+    return found.sums["x"][0] / steps
+
+
+def lengths(key: jax.Array, edges: np.ndarray, work: int, repeats: int) -> dict[str, Any]:
+    """One chain over lengths and one for each, b_k known; then b_k estimated at the start or all along.
+
+    The data of both, for a dataset: chains of `work` steps in all, `repeats` times, and their histograms at `edges`.
+    """
+    masses = np.stack([length.bin_masses(edges) for length in LENGTHS])
+    b = masses.sum(1)
+    step = Mixture({"large": (0.1, StepAndChange(LargeStep())), "small": (0.9, StepAndChange(SmallStep(0.1)))})
+    over = over_parts(LENGTHS, (Uniform(),) * len(LENGTHS))
+    one = b.sum() * histograms(key, step, over, edges, work, repeats)
+    alone = Mixture({"large": (0.1, LargeStep()), "small": (0.9, SmallStep(0.1))})
+    each = np.zeros_like(one)
+    for k, length in enumerate(LENGTHS):
+        steps = max(1, round(work * b[k] / b.sum()))
+        own = Multiplexed(length, Uniform())
+        each += b[k] * histograms(jax.random.fold_in(key, k), alone, own, edges, steps, repeats)
+    errors = [np.sqrt(np.mean((part - masses.sum(0)) ** 2, axis=1)) for part in (one, each)]
+
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint64))
+    trials = 512
+    rows, missed = [], 0.0
+    for k, length in enumerate(LENGTHS):
+        u = rng.random((trials, CHECKPOINTS[-1]), np.float32)
+        c = np.asarray(jnp.exp(jax.vmap(jax.vmap(length.log_f))(jnp.asarray(u))), np.float64)
+        means = np.stack([c[:, :n].mean(1) for n in CHECKPOINTS])
+        rows.append(means - b[k])
+        missed = float((means[0] == 0).mean()) if k == len(LENGTHS) - 1 else missed
+    progressive = np.sqrt(np.mean(np.stack(rows).sum(0) ** 2, axis=1)) / b.sum()
+    once = np.repeat(progressive[:1], len(CHECKPOINTS))
+    return {
+        "over_lengths": ("repeat", errors[0]),
+        "each_length": ("repeat", errors[1]),
+        "over_bias": float(np.abs(one.mean(0) - masses.sum(0)).max() / masses.sum(0).max()),
+        "bias_z": (
+            "chain",
+            [
+                float(np.abs((p.mean(0) - masses.sum(0)) / (p.std(0, ddof=1) / np.sqrt(len(p)))).max())
+                for p in (one, each)
+            ],
+        ),
+        "b_error": (("estimate", "samples"), np.stack([once, progressive])),
+        "missed": missed,
+        "miss_predicted": 0.98**FIRST,
+        "miss_later": 0.98 ** CHECKPOINTS[1],
+        "rare_share": float(b[-1] / b.sum()),
+        "miss_repeats": trials,
+    }

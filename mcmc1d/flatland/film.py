@@ -1,0 +1,92 @@
+"""Images of flatland: what chains and independent samples put on the film, in absolute scale."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.chain import Run
+from mcmc1d.estimators import Estimator
+from mcmc1d.flatland.paths import EXAMPLES as LIT
+from mcmc1d.flatland.paths import Light, Paths
+from mcmc1d.metropolis import Kernel, Step
+from mcmc1d.numerics import cast, require
+from mcmc1d.pooled import Pooled
+from mcmc1d.random import uniforms
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Float, Key
+
+_BATCH = 2**14
+
+
+class Picture(NamedTuple):
+    """An image and its standard error, each of shape (pixels,): mean radiance of a pinhole, irradiance of a wall."""
+
+    value: np.ndarray
+    error: np.ndarray
+
+    def plus(self, other: "Picture") -> "Picture":
+        """The sum of two that are independent, such as those of two path lengths."""
+        return Picture(self.value + other.value, np.hypot(self.error, other.error))
+
+
+class Exposure(Estimator):
+    """The deposits' weight in each pixel: sums of shape (pixels,); times b and the pixels, per step, the image."""
+
+    paths: Paths
+
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, " n"]:
+        shape = np.shape(target.target.domain[0])
+        pooled = isinstance(target.target, Pooled)
+        require(
+            pooled or shape == (self.paths.dim,),
+            f"Exposure: for paths of {self.paths.dim} numbers, not for points of shape {shape}",
+        )
+        return jnp.zeros(self.paths.sensor.pixels, dtype)
+
+    def update(self, sums: Float[Array, " n"], steps: Step) -> Float[Array, " n"]:
+        paths = cast(self.paths, sums.dtype)
+        pixels = jax.vmap(jax.vmap(paths.pixel, in_axes=-1))(steps.deposits.x)
+        return sums.at[pixels].add(steps.deposits.weight, mode="promise_in_bounds")
+
+
+def picture(run: Run, name: str, b: float) -> Picture:
+    """The image of an `Exposure` called `name` in a run of two blocks or more; b: the integral of what was sampled."""
+    pixels = run.mean(name).shape[-1]
+    return Picture(b * pixels * run.mean(name), b * pixels * run.standard_error(name))
+
+
+def independent(key: Key, target: Multiplexed, samples: int) -> Picture:
+    """Monte Carlo with `target`'s techniques and weights: as many independent samples (i, u) of its states.
+
+    Bidirectional path tracing where the techniques are all of `Bidirectional`; path or light tracing with some.
+    """
+    light = target.target
+    require(isinstance(light, Light), f"independent: the target must be flatland's Light, not {type(light).__name__}")
+    assert isinstance(light, Light)
+    batches = max(2, -(-samples // _BATCH))
+    rows = [np.asarray(_batch(jax.random.fold_in(key, k), target, light.paths), np.float64) for k in range(batches)]
+    pixels = light.paths.sensor.pixels
+    sums, squares = np.sum(rows, axis=0)
+    mean = sums / (batches * _BATCH)
+    variance = np.maximum(squares / (batches * _BATCH) - mean**2, 0)
+    return Picture(pixels * mean, pixels * np.sqrt(variance / (batches * _BATCH)))
+
+
+@eqx.filter_jit
+def _batch(key: Key, target: Multiplexed, paths: Paths) -> Float[Array, "2 n"]:
+    """Sums of the contributions to each pixel, and of their squares."""
+    dtype = jnp.zeros(()).dtype
+    target, paths = cast(target, dtype), cast(paths, dtype)
+    numbers = uniforms(key, 0, (target.dim_u + 1, _BATCH), dtype)
+    index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
+    states = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:]))
+    value = target.n_techniques * jnp.exp(states.seen.log_c)
+    pixel = jax.vmap(paths.pixel, in_axes=-1)(states.seen.x)
+    zeros = jnp.zeros(paths.sensor.pixels, dtype)
+    return jnp.stack([zeros.at[pixel].add(value), zeros.at[pixel].add(value * value)])
+
+
+EXAMPLES = {"exposure": Exposure(LIT["light"].paths)}

@@ -1,0 +1,201 @@
+"""Rays, walls and what they hit, for one ray; callers `vmap`."""
+
+from typing import Any, NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.flatland.scene import Pinhole, Scene
+from mcmc1d.numerics import entry, limit, locate
+from mcmc1d.types import Array, Bool, Float, Index, Int, Real, Scalar
+
+Numbers: TypeAlias = Float[Real, "..."]
+"""A real number, or an array of them over the vertices of a path or the segments of a scene."""
+
+
+class Vector(eqx.Module):
+    """A vector of the plane, as two numbers, or vectors as two arrays: kept apart, they fuse over a batch."""
+
+    x: Numbers
+    y: Numbers
+
+    def __add__(self, other: "Vector") -> "Vector":
+        return Vector(self.x + other.x, self.y + other.y)
+
+    def __sub__(self, other: "Vector") -> "Vector":
+        return Vector(self.x - other.x, self.y - other.y)
+
+    def __mul__(self, factor: Numbers | float) -> "Vector":
+        return Vector(self.x * factor, self.y * factor)
+
+    def dot(self, other: "Vector") -> Numbers:
+        """The inner product."""
+        return self.x * other.x + self.y * other.y
+
+    def cross(self, other: "Vector") -> Numbers:
+        """The third component of the cross product: positive where `other` is to the left."""
+        return self.x * other.y - self.y * other.x
+
+    def length(self) -> Numbers:
+        """Its length; zero, with a zero derivative, at zero."""
+        square = self.dot(self)
+        return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+
+
+def where(condition: Bool[Array, "..."], this: Any, that: Any) -> Any:
+    """`jnp.where` leaf by leaf."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), this, that)
+
+
+class Frame(NamedTuple):
+    """A segment's unit vectors: the normal of its front, and the direction from its start to its end."""
+
+    normal: Vector
+    tangent: Vector
+
+
+class Hit(NamedTuple):
+    """The first segment that a ray meets."""
+
+    segment: Index
+    along: Scalar
+    """The distance of the point from the segment's start."""
+    found: Bool[Array, ""]
+    """False only of a ray that slips out between two sides of the sky."""
+
+
+class Walls(eqx.Module):
+    """A scene's segments as arrays, closed by a black box around everything, the sky: so that every ray ends somewhere.
+
+    Laid end to end, the segments make one line: a place in the scene is a number in [0, total), and a density "with
+    respect to length" is one on that line. Beyond it, [total + j, total + j + 1) stands for a mirror's bounce on
+    segment j.
+    """
+
+    start: Float[Real, "n 2"]
+    tangent: Float[Real, "n 2"]
+    length: Float[Real, " n"]
+    offsets: Float[Real, " ends"]
+    """Where each segment begins on the line, and where the last one ends."""
+    emission: Float[Real, " n"]
+    lambert: Float[Real, " n"]
+    glossy: Float[Real, " n"]
+    mirror: Float[Real, " n"]
+    finish: Int[Real, " n"]
+    """Which of the `exponents` is that of the segment's glossy lobe."""
+    exponents: tuple[int, ...] = eqx.field(static=True)
+    """The different exponents of all glossy lobes; none where nothing is glossy."""
+    mirrors: bool = eqx.field(static=True)
+    """Whether any segment is a mirror: where none is, no path is unfolded."""
+
+    def __init__(self, scene: Scene):
+        """The sky stands off by a tenth of the scene's extent, and is the last four segments."""
+        ends = np.concatenate([scene.ends, _sky(scene)])
+        along = ends[:, 1] - ends[:, 0]
+        self.length = np.hypot(along[:, 0], along[:, 1])
+        self.start, self.tangent = ends[:, 0], along / self.length[:, None]
+        self.offsets = np.concatenate([[0.0], np.cumsum(self.length)])
+        materials = [segment.material for segment in scene.segments]
+        for name in ("emission", "lambert", "glossy", "mirror"):
+            setattr(self, name, np.array([getattr(m, name) for m in materials] + [0.0] * 4))
+        self.exponents = tuple(sorted({material.exponent for material in materials if material.glossy > 0}))
+        self.mirrors = any(material.mirror > 0 for material in materials)
+        finishes = [self.exponents.index(m.exponent) if m.glossy > 0 else 0 for m in materials]
+        self.finish = np.array(finishes + [0] * 4)
+
+    @property
+    def count(self) -> int:
+        """How many segments there are, the four of the sky included."""
+        return self.length.shape[0]
+
+    @property
+    def total(self) -> Scalar:
+        """The length of the line."""
+        return jnp.asarray(self.offsets[-1])
+
+    def frame(self, segment: Index) -> Frame:
+        """The unit vectors of a segment."""
+        x, y = self._component(self.tangent, segment)
+        return Frame(Vector(-y, x), Vector(x, y))
+
+    def point(self, segment: Index, along: Scalar) -> Vector:
+        """The point of a segment at a distance from its start."""
+        x, y = self._component(self.start, segment)
+        return Vector(x, y) + self.frame(segment).tangent * along
+
+    def place(self, slot: Scalar) -> tuple[Index, Scalar]:
+        """The segment that holds a place on the line, and the distance from its start."""
+        segment = locate(self.offsets, slot)
+        return segment, limit(slot - self.at(self.offsets, segment), 0, self.at(self.length, segment))
+
+    def slot(self, segment: Index, along: Scalar) -> Scalar:
+        """The inverse of `place`: a number that belongs to the segment, also where rounding has come to its end."""
+        first, beyond = self.at(self.offsets, segment), self.at(self.offsets[1:], segment)
+        return limit(first + along, first, beyond - jnp.finfo(self.length.dtype).epsneg * beyond)
+
+    def bounce(self, segment: Index, pad: Scalar) -> Scalar:
+        """The number of a mirror's bounce; the roundings of its own addition stay clear of the next segment's."""
+        first = self.total + jnp.asarray(segment).astype(self.length.dtype)
+        clear = 4 * jnp.finfo(self.length.dtype).eps * (self.total + self.count)
+        return limit(first + pad, first + clear, first + 1 - clear)
+
+    def at(self, table: Real, segment: Index) -> Any:
+        """A number of a segment's, from a table of them."""
+        return entry(table, segment)
+
+    def meet(self, origin: Vector, direction: Vector, leaving: Index) -> Hit:
+        """What a ray meets first, other than the segment `leaving`, which it starts on (-1: it starts on none).
+
+        The length of `direction` does not matter. A segment is met a few roundings beyond its ends too: two that touch
+        let nothing through.
+        """
+        distance, along, other = self._all(*jax.lax.stop_gradient((origin, direction)), leaving)
+        tolerance = 16 * jnp.finfo(self.length.dtype).eps * (self.length[-1] + self.length[-2])
+        met = other & (distance > 0) & (along >= -tolerance) & (along <= self.length + tolerance)
+        distance = jnp.where(met, distance, jnp.inf)
+        closest = jnp.min(distance)
+        segment = jnp.min(jnp.where(distance == closest, jnp.arange(self.count, dtype=jnp.int32), self.count - 1))
+        return Hit(segment, self._along(origin, direction, segment), closest < jnp.inf)
+
+    def blocked(self, origin: Vector, end: Vector, leaving: Index, arriving: Index) -> Bool[Array, ""]:
+        """Whether a segment other than the two stands between two points.
+
+        Without a tolerance: what only touches the line of sight does not block it, and neither do the segments' ends.
+        """
+        distance, along, other = self._all(origin, end - origin, leaving)
+        other = other & (jnp.arange(self.count) != arriving)
+        return jnp.any(other & (distance > 0) & (distance < 1) & (along > 0) & (along < self.length))
+
+    def _all(self, origin: Vector, direction: Vector, leaving: Index) -> tuple[Array, Array, Array]:
+        """Where a line meets that of each segment, in lengths of `direction` and from the segment's start."""
+        start, tangent = jnp.asarray(self.start), jnp.asarray(self.tangent)
+        tangents = Vector(tangent[:, 0], tangent[:, 1])
+        to_start = Vector(start[:, 0] - origin.x, start[:, 1] - origin.y)
+        across = direction.cross(tangents)
+        safe = jnp.where(across == 0, 1, across)
+        other = (across != 0) & (jnp.arange(self.count) != leaving)
+        return to_start.cross(tangents) / safe, to_start.cross(direction) / safe, other
+
+    def _along(self, origin: Vector, direction: Vector, segment: Index) -> Scalar:
+        """The same for one segment, within its ends: here derivatives are taken."""
+        across = direction.cross(self.frame(segment).tangent)
+        to_start = self.point(segment, jnp.zeros_like(origin.x)) - origin
+        along = to_start.cross(direction) / jnp.where(across == 0, 1, across)
+        return limit(along, 0, self.at(self.length, segment))
+
+    def _component(self, table: Float[Real, "n 2"], segment: Index) -> tuple[Scalar, Scalar]:
+        return self.at(table[:, 0], segment), self.at(table[:, 1], segment)
+
+
+def _sky(scene: Scene) -> np.ndarray:
+    """Four sides, counter-clockwise: their fronts look inward."""
+    points = scene.ends.reshape(-1, 2)
+    if isinstance(scene.sensor, Pinhole):
+        points = np.concatenate([points, [scene.sensor.position]])
+    low, high = points.min(0), points.max(0)
+    margin = 0.1 * float((high - low).max())
+    (left, bottom), (right, top) = low - margin, high + margin
+    corners = np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)

@@ -1,0 +1,239 @@
+"""What flatland is made of: segments that emit and scatter, and a sensor; checked here, so that nothing else need.
+
+Plain numbers on the host: the tracer and the references, which share no code, both read a scene.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mcmc1d.numerics import require
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a segment's front emits and scatters; its back is black.
+
+    Radiance is per length and per radian (light in the plane); reflectances are shares of what arrives, and sum to 1
+    at most. A glossy lobe returns less than its reflectance: `glossy cos^n(alpha) / (I_n max(cos_i, cos_o))`.
+    """
+
+    emission: float = 0.0
+    """Radiance L_e, the same in all directions."""
+    lambert: float = 0.0
+    """rho of the diffuse lobe, f_r = rho / 2."""
+    glossy: float = 0.0
+    """rho of the lobe about the mirror direction."""
+    exponent: int = 20
+    """n of the glossy lobe."""
+    mirror: float = 0.0
+    """rho of the perfect mirror."""
+
+    def __post_init__(self):
+        for name in ("emission", "lambert", "glossy", "mirror"):
+            value = getattr(self, name)
+            require(np.isfinite(value) and value >= 0, f"Material: {name} must not be negative or infinite: {value}")
+        require(
+            self.exponent == int(self.exponent) and 1 <= self.exponent <= 200,
+            f"Material: exponent must be a whole number from 1 to 200, not {self.exponent}",
+        )
+        require(
+            self.reflectance <= 1 + 1e-12,
+            f"Material: the reflectances lambert + glossy + mirror must sum to 1 at most, not {self.reflectance:g}",
+        )
+
+    @property
+    def reflectance(self) -> float:
+        """The sum of the lobes' reflectances."""
+        return self.lambert + self.glossy + self.mirror
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A wall, a lamp or a screen; its front is to the left of the way from `start` to `end`."""
+
+    start: Point
+    end: Point
+    material: Material = Material()
+    name: str = ""
+
+    @property
+    def length(self) -> float:
+        """Its length."""
+        return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A camera at a point; a pixel is the mean radiance over its part of the film, x = tan(phi).
+
+    phi is the angle from `direction`, |phi| < `half_angle`; film coordinates grow with phi, counter-clockwise. A path
+    can start at a pinhole, and none can hit it.
+    """
+
+    position: Point
+    direction: Point
+    """Where it looks; of any length."""
+    half_angle: float = 0.6
+    """Half the field of view, in radians; under pi / 2."""
+    pixels: int = 16
+
+    def __post_init__(self):
+        require(self.pixels >= 1, f"Pinhole: pixels must be 1 at least, not {self.pixels}")
+        require(
+            bool(np.isfinite(self.direction).all()) and np.hypot(*self.direction) > 0,
+            f"Pinhole: direction must be finite and not zero, not {self.direction}",
+        )
+        require(
+            0 < self.half_angle < 1.57,
+            f"Pinhole: half_angle is in radians, over 0 and under pi / 2, not {self.half_angle}",
+        )
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A sensor that lies along a segment: a pixel is the mean irradiance on its part of the segment's front.
+
+    Irradiance: the integral of L cos(theta) over the angles; film coordinates run from `start` to `end`. Paths can hit
+    it.
+    """
+
+    segment: str
+    """The segment's name."""
+    pixels: int = 16
+
+    def __post_init__(self):
+        require(self.pixels >= 1, f"Wall: pixels must be 1 at least, not {self.pixels}")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Segments and a sensor. Segments may touch, at ends or in a T; they must not cross or overlap.
+
+    Raises `ValueError` that names the segments and the place: where a segment has no length, two cross or overlap,
+    the sensor is no place in the scene or stands in a wall, nothing emits.
+    """
+
+    name: str
+    segments: tuple[Segment, ...]
+    sensor: Pinhole | Wall
+
+    def __post_init__(self):
+        object.__setattr__(self, "segments", tuple(self.segments))
+        require(len(self.segments) > 0, f"scene {self.name}: there is no segment")
+        for k, segment in enumerate(self.segments):
+            finite = bool(np.isfinite([*segment.start, *segment.end]).all())
+            require(finite, f"scene {self.name}: {self.label(k)} has an end that is not finite: {segment}")
+            require(
+                segment.length > 1e-6 * self._extent(),
+                f"scene {self.name}: {self.label(k)} has no length: it runs from {segment.start} to {segment.end}",
+            )
+        names = [segment.name for segment in self.segments if segment.name]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        require(not twice, f"scene {self.name}: the name {', '.join(twice)} is taken twice")
+        emits = any(segment.material.emission > 0 for segment in self.segments)
+        require(emits, f"scene {self.name}: no segment emits; give one a material with emission > 0")
+        self._check_crossings()
+        self._check_sensor()
+
+    def label(self, k: int) -> str:
+        """What messages call the k-th segment."""
+        name = self.segments[k].name
+        return f"segment {k} ({name})" if name else f"segment {k}"
+
+    @property
+    def sensor_segment(self) -> int | None:
+        """The index of the segment that a wall sensor lies along; None of a pinhole."""
+        if isinstance(self.sensor, Pinhole):
+            return None
+        return next(k for k, segment in enumerate(self.segments) if segment.name == self.sensor.segment)
+
+    @property
+    def ends(self) -> np.ndarray:
+        """Start and end of each segment, float64 of shape (segments, 2, 2)."""
+        return np.array([(segment.start, segment.end) for segment in self.segments], np.float64)
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Of each segment."""
+        return np.hypot(*(self.ends[:, 1] - self.ends[:, 0]).T)
+
+    def with_pixels(self, pixels: int) -> "Scene":
+        """The same scene, seen with another number of pixels."""
+        return replace(self, sensor=replace(self.sensor, pixels=pixels))
+
+    def _extent(self) -> float:
+        points = self.ends.reshape(-1, 2)
+        return float(np.ptp(points, axis=0).max()) or 1.0
+
+    def _check_crossings(self) -> None:
+        ends, tiny = self.ends, 1e-9 * self._extent()
+        for a in range(len(ends)):
+            for b in _near(ends, a):
+                where = _crossing(ends[a], ends[b], tiny)
+                if where is not None:
+                    raise ValueError(
+                        f"scene {self.name}: {self.label(a)} and {self.label(b)} cross or overlap at "
+                        f"({where[0]:.6g}, {where[1]:.6g}); split them there, or move one"
+                    )
+
+    def _check_sensor(self) -> None:
+        sensor = self.sensor
+        if isinstance(sensor, Wall):
+            known = [segment.name for segment in self.segments if segment.name]
+            require(
+                sensor.segment in known,
+                f"scene {self.name}: the sensor lies along {sensor.segment!r}, which is no segment; known: "
+                f"{', '.join(known) or 'none has a name'}",
+            )
+            return
+        position = np.asarray(sensor.position, np.float64)
+        require(bool(np.isfinite(position).all()), f"scene {self.name}: the pinhole's position is not finite")
+        distances = [distance(position, pair) for pair in self.ends]
+        k = int(np.argmin(distances))
+        require(
+            distances[k] > 1e-9 * self._extent(),
+            f"scene {self.name}: the pinhole at {sensor.position} stands in {self.label(k)}; move it off the wall",
+        )
+
+
+def distance(point: np.ndarray, ends: np.ndarray) -> float:
+    """From a point to a segment, given by its two ends."""
+    along = ends[1] - ends[0]
+    t = np.clip((point - ends[0]) @ along / (along @ along), 0, 1)
+    return float(np.hypot(*(point - ends[0] - t * along)))
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The third component of the cross product of vectors in the plane, over the last axis."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _near(ends: np.ndarray, a: int) -> Sequence[int]:
+    """The segments after `a` whose boxes touch its box."""
+    low, high = ends.min(1), ends.max(1)
+    later = np.arange(a + 1, len(ends))
+    touch = np.all((low[later] <= high[a]) & (low[a] <= high[later]), axis=1)
+    return later[touch].tolist()
+
+
+def _crossing(one: np.ndarray, two: np.ndarray, tiny: float) -> np.ndarray | None:
+    """Where two segments cross or begin to overlap; None where they are apart, or touch at an end of either."""
+    d, e, gap = one[1] - one[0], two[1] - two[0], two[0] - one[0]
+    across = float(cross(d, e))
+    if abs(across) <= 1e-12 * np.hypot(*d) * np.hypot(*e):
+        unit = d / np.hypot(*d)
+        if abs(float(cross(unit, gap))) > tiny:
+            return None
+        ahead = np.sort([gap @ unit, (two[1] - one[0]) @ unit])
+        lower, upper = max(0.0, ahead[0]), min(float(np.hypot(*d)), ahead[1])
+        return one[0] + lower * unit if upper - lower > tiny else None
+    s, t = float(cross(gap, e)) / across, float(cross(gap, d)) / across
+    inside = [tiny / np.hypot(*v) < at < 1 - tiny / np.hypot(*v) for at, v in ((s, d), (t, e))]
+    return one[0] + s * d if all(inside) else None
+
+
+__all__ = ["Material", "Pinhole", "Point", "Scene", "Segment", "Wall", "cross", "distance"]

@@ -1,0 +1,89 @@
+"""Several techniques for one kind of sample, which may share what they compute."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.checks import require_instance
+from mcmc1d.numerics import pick, require
+from mcmc1d.quadrature import midpoints
+from mcmc1d.techniques.base import Technique, sample_shape
+from mcmc1d.types import Array, Corners, Float, Index, Scalar
+
+
+class Family(eqx.Module):
+    """The techniques of a `Multiplexed`, together: a map (index, u) <-> (x, v), u and v padded to one length each.
+
+    A subclass is final. One whose techniques have steps in common, as those of bidirectional path tracing have, takes
+    each step once; it is held to its `members`, each of which is a technique of its own.
+    """
+
+    @property
+    @abc.abstractmethod
+    def members(self) -> tuple[Technique, ...]:
+        """The techniques, in the order of the index."""
+
+    @property
+    def dim_u(self) -> int:
+        """m, as many numbers as the hungriest member reads."""
+        return max(member.dim_u for member in self.members)
+
+    @property
+    def dim_x(self) -> int:
+        """d, how many numbers a sample has."""
+        return int(np.prod(sample_shape(self.members[0])))
+
+    @abc.abstractmethod
+    def forward(self, index: Index, u: Float[Array, " m"]) -> tuple[Array, Array, Scalar]:
+        """(x, v, log|d(x, v)/du|) of member `index`; what it does not read of u is part of v."""
+
+    @abc.abstractmethod
+    def inverse(self, index: Index, x: Float[Array, "..."], v: Float[Array, " k"]) -> tuple[Array, Scalar]:
+        """(u, log|du/d(x, v)|) of member `index`, the inverse of `forward`."""
+
+    @abc.abstractmethod
+    def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
+        """The log-density of x with respect to dx of every member."""
+
+    def probes(self, domain: Corners, count: int) -> np.ndarray:
+        """Points x at which a `Multiplexed` is looked at before it is used: a grid of the target's domain."""
+        return midpoints(*domain, count)
+
+
+class Several(Family):
+    """Techniques that have nothing in common: each is asked in turn."""
+
+    techniques: tuple[Technique, ...]
+
+    def __init__(self, techniques: Technique | Sequence[Technique]):
+        """`techniques`: one at least, with one shape of x."""
+        self.techniques = tuple(techniques) if isinstance(techniques, Sequence) else (techniques,)
+        for technique in self.techniques:
+            require_instance(technique, Technique, "Multiplexed: a technique")
+        require(len(self.techniques) > 0, "Multiplexed: give one technique at least")
+
+    @property
+    def members(self) -> tuple[Technique, ...]:
+        return self.techniques
+
+    def forward(self, index: Index, u: Float[Array, " m"]) -> tuple[Array, Array, Scalar]:
+        options = []
+        for technique in self.techniques:
+            x, v, log_det = technique.forward(u[: technique.dim_u])
+            options.append((x, jnp.concatenate([v, u[technique.dim_u :]]), log_det))
+        return pick(options, index)
+
+    def inverse(self, index: Index, x: Float[Array, "..."], v: Float[Array, " k"]) -> tuple[Array, Scalar]:
+        options: list[Any] = []
+        for technique in self.techniques:
+            k = technique.dim_u - self.dim_x
+            u, log_det = technique.inverse(x, v[:k])
+            options.append((jnp.concatenate([u, v[k:]]), log_det))
+        return pick(options, index)
+
+    def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
+        return tuple(technique.log_prob(x) for technique in self.techniques)
