@@ -184,7 +184,7 @@ def walk_light(paths: Paths, u: Float[Array, " m"], vertices: int) -> Walk:
 
 def _of_one_kind(scene: Any, u: Array) -> tuple[Any, Array]:
     """Both in the wider precision of the two, so that a walk stays in one; a scene's first number is a float."""
-    dtype = jnp.result_type(u, jax.tree.leaves(scene)[0])
+    dtype = jnp.result_type(u, jnp.asarray(jax.tree.leaves(scene)[0]))
     return cast(scene, dtype), u.astype(dtype)
 
 
@@ -209,11 +209,11 @@ def _advance(walls: Walls, step: _Step, pair: Float[Array, " 2"]) -> tuple[_Step
     hit = walls.meet(step.point, step.direction, step.segment)
     point, frame = walls.point(hit.segment, hit.along), walls.frame(hit.segment)
     way = point - step.point
-    distance = jnp.maximum(way.length(), jnp.finfo(walls.length.dtype).tiny ** 0.5)
+    distance = jnp.maximum(way.length(), jnp.finfo(walls.dtype).tiny ** 0.5)
     coming = local(frame, way * (-1 / distance))
     behind = step.behind + distance
     place = walls.slot(hit.segment, hit.along)
-    cosine = jnp.maximum(jnp.abs(coming.up), jnp.finfo(walls.length.dtype).tiny)
+    cosine = jnp.maximum(jnp.abs(coming.up), jnp.finfo(walls.dtype).tiny)
     here = step.log_direction + jnp.log(cosine) - jnp.log(behind)
     turn = scatter(walls, hit.segment, coming, pair[0], pair[1])
     bounce = walls.bounce(hit.segment, pair[1])

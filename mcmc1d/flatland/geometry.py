@@ -111,6 +111,11 @@ class Walls(eqx.Module):
         return self.length.shape[0]
 
     @property
+    def dtype(self) -> Any:
+        """The precision in which JAX takes the arrays, which are NumPy's at rest."""
+        return jnp.asarray(self.length).dtype
+
+    @property
     def total(self) -> Scalar:
         """The length of the line."""
         return jnp.asarray(self.offsets[-1])
@@ -133,12 +138,12 @@ class Walls(eqx.Module):
     def slot(self, segment: Index, along: Scalar) -> Scalar:
         """The inverse of `place`: a number that belongs to the segment, also where rounding has come to its end."""
         first, beyond = self.at(self.offsets, segment), self.at(self.offsets[1:], segment)
-        return limit(first + along, first, beyond - jnp.finfo(self.length.dtype).epsneg * beyond)
+        return limit(first + along, first, beyond - jnp.finfo(self.dtype).epsneg * beyond)
 
     def bounce(self, segment: Index, pad: Scalar) -> Scalar:
         """The number of a mirror's bounce; the roundings of its own addition stay clear of the next segment's."""
-        first = self.total + jnp.asarray(segment).astype(self.length.dtype)
-        clear = 4 * jnp.finfo(self.length.dtype).eps * (self.total + self.count)
+        first = self.total + jnp.asarray(segment).astype(self.dtype)
+        clear = 4 * jnp.finfo(self.dtype).eps * (self.total + self.count)
         return limit(first + pad, first + clear, first + 1 - clear)
 
     def at(self, table: Real, segment: Index) -> Any:
@@ -152,7 +157,7 @@ class Walls(eqx.Module):
         let nothing through.
         """
         distance, along, other = self._all(*jax.lax.stop_gradient((origin, direction)), leaving)
-        tolerance = 16 * jnp.finfo(self.length.dtype).eps * (self.length[-1] + self.length[-2])
+        tolerance = 16 * jnp.finfo(self.dtype).eps * (self.length[-1] + self.length[-2])
         met = other & (distance > 0) & (along >= -tolerance) & (along <= self.length + tolerance)
         distance = jnp.where(met, distance, jnp.inf)
         closest = jnp.min(distance)

@@ -94,7 +94,7 @@ class Paths(eqx.Module):
         points, segment, mirror, pad, placed = self._points(x)
         here, there = (jax.tree.map(lambda a, own=own: a[own], points) for own in (slice(k), slice(1, k + 1)))
         step = there - here
-        distance = jnp.maximum(step.length(), _shortest(walls.length.dtype))
+        distance = jnp.maximum(step.length(), _shortest(walls.dtype))
         direction = step * (1 / distance)
         first = self.sensor.frame(walls, segment[0])
         frames = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, jax.vmap(walls.frame)(segment[1:]))

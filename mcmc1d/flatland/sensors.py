@@ -98,7 +98,7 @@ class Camera(Sensor):
         return place
 
     def log_place(self, walls: Walls, segment: Index) -> Scalar:
-        return jnp.zeros((), walls.length.dtype)
+        return jnp.zeros((), walls.dtype)
 
     def point(self, walls: Walls, place: Scalar) -> tuple[Vector, Index]:
         return Vector(jnp.asarray(self.position[0]), jnp.asarray(self.position[1])), jnp.asarray(-1, jnp.int32)
@@ -130,7 +130,7 @@ class Camera(Sensor):
 
     def _sees(self, out: Local) -> Bool[Array, ""]:
         # A direction that was made from u = 0 may come back a few roundings under it.
-        tiny = 8 * jnp.finfo(self.width.dtype).eps
+        tiny = 8 * jnp.finfo(jnp.asarray(self.width).dtype).eps
         film = self._film(out)
         return (out.up > 0) & (film >= -tiny) & (film <= 1 + tiny)
 

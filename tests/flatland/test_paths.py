@@ -88,6 +88,24 @@ def test_every_technique_is_a_bijection_with_its_log_determinant(edges, sensor):
         assert np.all(np.abs(error) <= tolerance), np.max(np.abs(error) / tolerance)
 
 
+def test_the_family_is_its_members():
+    """Together, from walks that are taken once, and each alone: the same paths, numbers and densities."""
+    family = Bidirectional(Paths(room(MIXED), 2))
+    u = jnp.asarray(np.random.default_rng(0).random((50, family.dim_u)), jnp.float32)
+
+    @jax.jit
+    def both(u):
+        together = [family.forward(i, u) for i in range(3)]
+        alone = [member.forward(u) for member in family.members]
+        back = [(family.inverse(i, x, v)[0], family.members[i].inverse(x, v)[0]) for i, (x, v, _) in enumerate(alone)]
+        return together, alone, back
+
+    together, alone, back = jax.vmap(both)(u)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5), together, alone)
+    for one, other in back:
+        np.testing.assert_allclose(one, other, atol=1e-5)
+
+
 @pytest.mark.parametrize(("edges", "t", "sensor"), [(2, 3, CAMERA), (1, 0, Wall("w1"))])
 def test_contract(edges, t, sensor):
     """At the edges of the cube and in float32 too: lobes, a mirror, and light that meets the sensor or does not."""
