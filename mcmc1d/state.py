@@ -79,7 +79,13 @@ class Multiplexed(eqx.Module):
         """
         require_instance(target, Target, "Multiplexed: the target", "; FromFunction makes one of a function")
         self.target = target
-        self.family = techniques if isinstance(techniques, Family) else Several(techniques)
+        if not isinstance(techniques, Family):
+            listed = tuple(techniques) if isinstance(techniques, Sequence) else (techniques,)
+            for technique in listed:
+                require_instance(technique, Technique, "Multiplexed: a technique")
+            require(len(listed) > 0, "Multiplexed: give one technique at least")
+            techniques = Several(listed)
+        self.family = techniques
         if weights is None:
             weights = Balance()
         self.weights = weights if isinstance(weights, Weights) else FromFunction(weights)

@@ -1,15 +1,13 @@
 """Several techniques for one kind of sample, which may share what they compute."""
 
 import abc
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
-from mcmc1d.numerics import pick, require
+from mcmc1d.numerics import pick
 from mcmc1d.quadrature import midpoints
 from mcmc1d.techniques.base import Technique, sample_shape
 from mcmc1d.types import Array, Corners, Float, Index, Scalar
@@ -58,13 +56,6 @@ class Several(Family):
     """Techniques that have nothing in common: each is asked in turn."""
 
     techniques: tuple[Technique, ...]
-
-    def __init__(self, techniques: Technique | Sequence[Technique]):
-        """`techniques`: one at least, with one shape of x."""
-        self.techniques = tuple(techniques) if isinstance(techniques, Sequence) else (techniques,)
-        for technique in self.techniques:
-            require_instance(technique, Technique, "Multiplexed: a technique")
-        require(len(self.techniques) > 0, "Multiplexed: give one technique at least")
 
     @property
     def members(self) -> tuple[Technique, ...]:
