@@ -62,8 +62,6 @@ class Hit(NamedTuple):
     segment: Index
     along: Scalar
     """The distance of the point from the segment's start."""
-    found: Bool[Array, ""]
-    """False only of a ray that slips out between two sides of the sky."""
 
 
 class Walls(eqx.Module):
@@ -162,7 +160,7 @@ class Walls(eqx.Module):
         distance = jnp.where(met, distance, jnp.inf)
         closest = jnp.min(distance)
         segment = jnp.min(jnp.where(distance == closest, jnp.arange(self.count, dtype=jnp.int32), self.count - 1))
-        return Hit(segment, self._along(origin, direction, segment), closest < jnp.inf)
+        return Hit(segment, self._along(origin, direction, segment))
 
     def blocked(self, origin: Vector, end: Vector, leaving: Index, arriving: Index) -> Bool[Array, ""]:
         """Whether a segment other than the two stands between two points.
