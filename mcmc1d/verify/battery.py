@@ -5,7 +5,8 @@ size: the DKW bound, exact binomials under a union bound, exact signs of pairs.
 """
 
 import abc
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -37,6 +38,18 @@ class Replicas:
     fresh: Position
     uniform: np.ndarray
     """(n,), fresh uniform numbers, for choices that a test makes at random."""
+    kept: dict[int, np.ndarray] = field(default_factory=dict)
+    """What tests have worked out of `first` and `fresh`, by test: the same at every look."""
+
+    def keep(self, test: "Test", make: Callable[[], np.ndarray]) -> np.ndarray:
+        """What `make` returned when the test first asked."""
+        if id(test) not in self.kept:
+            self.kept[id(test)] = make()
+        return self.kept[id(test)]
+
+    def at(self, look: Look) -> "Replicas":
+        """The same replicas at another look."""
+        return replace(self, look=look)
 
 
 class Test(abc.ABC):
@@ -200,7 +213,7 @@ class TwoSample(Test):
 
     def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
         cells = len(self.ends) + 1
-        fresh = self._cell(replicas.fresh)
+        fresh = replicas.keep(self, lambda: self._cell(replicas.fresh))
         if self.deposits and replicas.look.picked is not None:
             mine = np.where(replicas.look.picked.none, cells, self._cell(replicas.look.picked.points))
             fresh = np.where(replicas.uniform * self.max_weight < 1, fresh, cells)
@@ -260,7 +273,8 @@ class Exchangeable(Test):
 
     def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
         first, last = (np.asarray(self.value(p), np.float64) for p in (replicas.first, replicas.look.positions))
-        a, b = (np.searchsorted(self.ends, part, side="right") for part in (first, last))
+        a = replicas.keep(self, lambda: np.searchsorted(self.ends, first, side="right"))
+        b = np.searchsorted(self.ends, last, side="right")
         cells = len(self.ends) + 1
         table = np.bincount(a * cells + b, minlength=cells * cells).reshape(cells, cells)
         return table, np.array([(last - first > self.still).sum(), (first - last > self.still).sum()])

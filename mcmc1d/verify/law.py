@@ -257,15 +257,18 @@ class Bins:
         known = (rows >= 0) & (rows < len(masses))
         rows = np.where(known, rows, 0)
         bins = masses.shape[1]
-        cell = np.searchsorted(self.edges, x, side="right") - 1
+        cell = self._place(x)
         cell = np.where(x == self.edges[-1], bins - 1, cell)
         empty = (cell < 0) | (cell >= bins) | (masses[rows, np.clip(cell, 0, bins - 1)] == 0)
         for side in (-1, 1):
-            near = np.searchsorted(self.edges, x[empty] + side * _ROUNDING * (1 + np.abs(x[empty])), side="right") - 1
+            near = self._place(x[empty] + side * _ROUNDING * (1 + np.abs(x[empty])))
             lit = (near >= 0) & (near < bins)
             lit[lit] = masses[rows[empty][lit], near[lit]] > 0
             cell[np.flatnonzero(empty)[lit]] = near[lit]
         return np.where(known & (cell >= 0) & (cell < bins), rows * bins + cell, -1)
+
+    def _place(self, x: np.ndarray) -> np.ndarray:
+        return np.searchsorted(self.edges, x, side="right") - 1
 
 
 @dataclass(frozen=True)

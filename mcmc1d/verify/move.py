@@ -17,7 +17,7 @@ from mcmc1d.techniques import Mixture, PiecewiseConstant, PiecewiseLinear, Ramp,
 from mcmc1d.verify.compare import Points, compare, condition_number, log_abs_det
 from mcmc1d.verify.contract import Check, ContractReport, numbers
 from mcmc1d.verify.points import cube_points
-from mcmc1d.verify.twice import Outcome, Twice, over
+from mcmc1d.verify.twice import Outcome, over
 
 _LARGEST_TOLERANCE = 1e-3
 _LEFT_OUT = 0.01
@@ -74,16 +74,16 @@ class _Contract:
     """A move on a target in one precision."""
 
     def __init__(self, move: Move, target: Multiplexed, dtype: np.dtype, seed: int):
-        self.twice, self.dtype, self.seed = Twice(move, target), dtype, seed
+        self.move, self.target, self.dtype, self.seed = move, target, dtype, seed
         self.m, self.r = target.dim_u, move.dim_w(target)
 
     def checks(self, count: int) -> list[Check]:
         uw = cube_points(self.m + self.r, count, self.seed, self.dtype)
-        n = self.twice.target.n_techniques
+        n = self.target.n_techniques
         index = np.random.default_rng(self.seed + 2).integers(n, size=len(uw), dtype=np.int32)
 
         def at(points: np.ndarray, rows: np.ndarray) -> Outcome:
-            return jax.tree.map(np.asarray, over(self.twice, jnp.asarray(index[rows]), jnp.asarray(points)))
+            return jax.tree.map(np.asarray, over(self.move, self.target, jnp.asarray(index[rows]), jnp.asarray(points)))
 
         out = at(uw, np.arange(len(uw)))
         condition = condition_number(out.jacobian, out.slope, out.log_det)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.numerics import require
-from mcmc1d.verify.battery import OneSample, Replicas, Test, coordinates
+from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates
 from mcmc1d.verify.forgetting import point
 from mcmc1d.verify.law import Law, Position
 from mcmc1d.verify.subject import Look, Subject
@@ -124,12 +124,15 @@ class Sampler:
 
     def chunk(self, stage: int, chunk: int, n: int) -> Tally:
         """Draw, run and count."""
-        start, fresh = self.draw("start", stage, chunk, n), self.draw("fresh", stage, chunk, n)
+        start = self.draw("start", stage, chunk, n)
+        compared = any(isinstance(test, TwoSample) for test in self.tests)
+        fresh = self.draw("fresh", stage, chunk, n) if compared else start
         uniform = np.random.default_rng(self.words("choice", stage, chunk)).random(n)
+        replicas = Replicas(start, Look(start), fresh, uniform)
         tally = Tally(n)
         for k, test in enumerate(self.tests):
             if self.own(test):
-                tally.counts[0, k] = test.count(Replicas(start, Look(start), fresh, uniform))
+                tally.counts[0, k] = test.count(replicas)
         before = coordinates(start)
         changed = {name: np.zeros(n, bool) for name in before}
         walk = self.subject.walk(self.words("steps", stage, chunk), start, self.steps)
@@ -138,7 +141,7 @@ class Sampler:
             if tally.wrong:
                 return tally
             for k, test in enumerate(self.tests):
-                tally.counts[t, k] = test.count(Replicas(start, look, fresh, uniform))
+                tally.counts[t, k] = test.count(replicas.at(look))
             after = coordinates(look.positions)
             for name in before:
                 changed[name] |= before[name] != after[name]

@@ -1,6 +1,11 @@
-"""A move applied twice, as production code applies it, with the derivatives that its contract looks at."""
+"""A move applied twice, as production code applies it, with the derivatives that its contract looks at.
 
-from typing import Any
+In three programs, for compiling is nearly all of a contract's time: what an evaluation of the target finds, with its
+derivatives, is compiled once for all moves; the way forth is differentiated by the chain rule through it; the way back
+is not differentiated.
+"""
+
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -15,91 +20,130 @@ from mcmc1d.verify.compare import quickly
 
 
 class Outcome(eqx.Module):
-    """A proposal, the proposal from there, and the derivatives."""
+    """Proposals from n points, the proposals from there, and the derivatives."""
 
-    index: Int[Real, ""]
-    uw: Float[Real, " d"]
-    log_det: Scalar
-    acceptance: Scalar
-    index_back: Int[Real, ""]
-    uw_back: Float[Real, " d"]
-    log_det_back: Scalar
-    jacobian: Float[Real, "d d"]
-    slope: Float[Real, " d"]
+    index: Int[Real, " n"]
+    uw: Float[Real, "n d"]
+    log_det: Float[Real, " n"]
+    acceptance: Float[Real, " n"]
+    index_back: Int[Real, " n"]
+    uw_back: Float[Real, "n d"]
+    log_det_back: Float[Real, " n"]
+    jacobian: Float[Real, "n d d"]
+    slope: Float[Real, "n d"]
     kept: Eval | None
     """What the move says of its proposal; None where it leaves the evaluation to the kernel."""
     found: Eval
     """What an evaluation finds there."""
-    sensitivity: Scalar
+    sensitivity: Float[Real, " n"]
     """The largest derivative with respect to u of what an evaluation finds, at either end."""
-    felt: Scalar
+    felt: Float[Real, " n"]
     """The largest |x d log p_i / dx| of any technique, at either end."""
 
 
-class Twice(eqx.Module):
-    """A move applied to (index, u, w), and again to what comes out, as production code applies it."""
+class End(eqx.Module):
+    """What an evaluation finds at one end of a move, and how it changes."""
 
-    move: Move
-    target: Multiplexed
-
-    def __call__(self, index: Int[Array, ""], uw: Float[Array, " d"]) -> Outcome:
-        def apply(uw: Float[Array, " d"]) -> tuple[Any, Any]:
-            here = _still(self.target.evaluate(State(index, uw[: self.target.dim_u])))
-            first = self._propose(here, uw)
-            known = State(jnp.asarray(first.state.index, jnp.int32), first.state.u, first.state.eval)
-            there = self.target.evaluate(known)
-            second = self._propose(there, _flat(first))
-            found = self.target.evaluate(State(known.index, known.u)).seen
-            a = acceptance(here, Proposal(there, first.w, first.log_det))
-            differentiated = (_flat(first), jnp.asarray(first.log_det), here.seen)
-            return differentiated, (*differentiated[:2], known, a, second, found, here.seen)
-
-        (jacobian, slope, slopes), aux = jax.jacfwd(apply, has_aux=True)(uw)
-        out, log_det, known, a, second, found, here = aux
-        slopes = (slopes, jax.jacfwd(lambda u: _still(self.target.evaluate(State(known.index, u))).seen)(known.u))
-        steepest = [jnp.max(jnp.abs(leaf), initial=0) for leaf in jax.tree.leaves(slopes)]
-        return Outcome(
-            index=known.index,
-            uw=out,
-            log_det=log_det,
-            acceptance=a,
-            index_back=jnp.asarray(second.state.index, jnp.int32),
-            uw_back=_flat(second),
-            log_det_back=jnp.asarray(second.log_det),
-            jacobian=jacobian,
-            slope=slope,
-            kept=known.eval,
-            found=found,
-            sensitivity=jnp.max(jnp.stack(steepest)),
-            felt=jnp.maximum(self._felt(here.x), self._felt(found.x)),
-        )
-
-    def _felt(self, x: Array) -> Scalar:
-        def log_p(x: Array) -> Array:
-            return jnp.stack([still(log_p) for log_p in self.target.family.log_probs(x)])
-
-        return jnp.max(jnp.abs(jax.jacfwd(log_p)(x) * x[None]))
-
-    def _propose(self, state: State, uw: Float[Array, " d"]) -> Proposal:
-        proposal = self.move.propose(self.target, state, uw[self.target.dim_u :])
-        if proposal.w.shape != (uw.shape[0] - self.target.dim_u,) or proposal.state.u.shape != state.u.shape:
-            raise ValueError(
-                f"{type(self.move).__name__}.propose must return u' of shape {state.u.shape} and w' of shape "
-                f"{(uw.shape[0] - self.target.dim_u,)}, not {proposal.state.u.shape} and {proposal.w.shape}"
-            )
-        return proposal
+    found: Eval
+    slopes: Eval
+    """The derivatives with respect to u, along the last axis of each leaf."""
+    felt: Scalar
 
 
-def _still(state: State) -> State:
-    """The state with an `eval` that does not move where it is -inf: in a hole a density's logarithm has no slope."""
-    return State(state.index, state.u, jax.tree.map(still, state.seen))
-
-
-def _flat(proposal: Proposal) -> Float[Array, " d"]:
-    return jnp.concatenate([proposal.state.u, proposal.w])
+def over(move: Move, target: Multiplexed, index: Int[Array, " n"], points: Float[Array, "n d"]) -> Outcome:
+    """A move applied to many (index, u, w), and again to what comes out."""
+    m = target.dim_u
+    here = _ends(target, index, points[:, :m])
+    first, jacobian, slope = _forth(move, target, index, points, here)
+    there = _ends(target, jnp.asarray(first.state.index), first.state.u)
+    second, a = _back(move, target, State(index, points[:, :m], here.found), first, there.found)
+    slopes = jax.tree.leaves((here.slopes, there.slopes))
+    steepest = [jnp.max(jnp.abs(leaf.reshape(len(points), -1)), axis=1, initial=0) for leaf in slopes]
+    return Outcome(
+        index=first.state.index,
+        uw=_flat(first),
+        log_det=first.log_det,
+        acceptance=a,
+        index_back=second.state.index,
+        uw_back=_flat(second),
+        log_det_back=second.log_det,
+        jacobian=jacobian,
+        slope=slope,
+        kept=first.state.eval,
+        found=there.found,
+        sensitivity=jnp.max(jnp.stack(steepest), axis=0),
+        felt=jnp.maximum(here.felt, there.felt),
+    )
 
 
 @quickly
-def over(twice: Twice, index: Int[Array, " n"], points: Float[Array, "n d"]) -> Outcome:
-    """`twice` at many points."""
-    return jax.vmap(twice)(index, points)
+def _ends(target: Multiplexed, index: Int[Array, " n"], u: Float[Array, "n m"]) -> End:
+    def evaluate(index: Array, u: Array) -> tuple[Eval, Eval]:
+        seen = target.evaluate(State(index, u)).seen
+        # In a hole a density's logarithm has no slope.
+        return jax.tree.map(still, seen), seen
+
+    def log_p(x: Array) -> Array:
+        return jnp.stack([still(log_p) for log_p in target.family.log_probs(x)])
+
+    def one(index: Array, u: Array) -> End:
+        slopes, found = jax.jacfwd(partial(evaluate, index), has_aux=True)(u)
+        return End(found, slopes, jnp.max(jnp.abs(jax.jacfwd(log_p)(found.x) * found.x[None])))
+
+    return jax.vmap(one)(index, u)
+
+
+@quickly
+def _forth(
+    move: Move, target: Multiplexed, index: Int[Array, " n"], uw: Float[Array, "n d"], here: End
+) -> tuple[Proposal, Float[Array, "n d d"], Float[Array, "n d"]]:
+    """The proposals, d(u', w')/d(u, w) and d log_det/d(u, w)."""
+    d, m = uw.shape[1], target.dim_u
+
+    def one(index: Array, uw: Array, here: End) -> tuple[Proposal, Array, Array]:
+        def apply(uw: Array, seen: Eval) -> tuple[tuple[Array, Array], Proposal]:
+            proposal = _propose(move, target, State(index, uw[:m], seen), uw[m:])
+            return (_flat(proposal), proposal.log_det), proposal
+
+        def along(direction: Array, tangent: Eval) -> tuple[Proposal, tuple[Array, Array]]:
+            _, slopes, proposal = jax.jvp(apply, (uw, here.found), (direction, tangent), has_aux=True)
+            return proposal, slopes
+
+        # An evaluation does not depend on w.
+        tangents = jax.tree.map(lambda s: jnp.pad(s, [(0, 0)] * (s.ndim - 1) + [(0, d - m)]), here.slopes)
+        each = jax.vmap(along, in_axes=(0, -1), out_axes=(None, -1))
+        proposal, (jacobian, slope) = each(jnp.eye(d, dtype=uw.dtype), tangents)
+        return proposal, jacobian, slope
+
+    return jax.vmap(one)(index, uw, here)
+
+
+@quickly
+def _back(
+    move: Move, target: Multiplexed, here: State, first: Proposal, found: Eval
+) -> tuple[Proposal, Float[Array, " n"]]:
+    """The proposals from the proposals, and the probability with which the first ones are accepted."""
+
+    def one(here: State, first: Proposal, found: Eval) -> tuple[Proposal, Scalar]:
+        # A move that knows its proposal's evaluation is taken at its word, as the kernel takes it.
+        seen = found if first.state.eval is None else first.state.eval
+        there = State(first.state.index, first.state.u, seen)
+        a = acceptance(here, Proposal(there, first.w, first.log_det))
+        return _propose(move, target, there, first.w), a
+
+    return jax.vmap(one)(here, first, found)
+
+
+def _propose(move: Move, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
+    proposal = move.propose(target, state, w)
+    if proposal.w.shape != w.shape or proposal.state.u.shape != state.u.shape:
+        raise ValueError(
+            f"{type(move).__name__}.propose must return u' of shape {state.u.shape} and w' of shape {w.shape}, not "
+            f"{proposal.state.u.shape} and {proposal.w.shape}"
+        )
+    index = jnp.asarray(proposal.state.index, jnp.int32)
+    return Proposal(State(index, proposal.state.u, proposal.state.eval), proposal.w, jnp.asarray(proposal.log_det))
+
+
+def _flat(proposal: Proposal) -> Float[Array, "... d"]:
+    return jnp.concatenate([proposal.state.u, proposal.w], axis=-1)
