@@ -17,6 +17,7 @@ from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
 from mcmc1d.verify.law import Position, Statistic, as_law
 from mcmc1d.verify.ledger import Ledger, Scheme
 from mcmc1d.verify.library import LibrarySubject
+from mcmc1d.verify.power import detectable
 from mcmc1d.verify.report import Report, Result, Verdict
 from mcmc1d.verify.sampler import Sampler, Tally, entropy
 
@@ -69,8 +70,9 @@ def verify(
         gap: the CDF gap to detect, or be INCONCLUSIVE. Without it 0.005 is aimed at, and whatever up to 0.05 the time
             affords is reported.
         power: the probability with which the gap is detected.
-        seconds: what a first stage may take, in stepping and counting; compiling comes on top, and so does a further
-            stage, which a right kernel needs with a probability of 0.04. One that needs less takes less.
+        seconds: what a first stage may take, in stepping and counting; compiling comes on top, and so do further
+            stages, the second four times as large where that is cheap, which a right kernel needs with a probability
+            of 0.04. One that needs less takes less.
         replicas: how many in the first stage, whatever that takes; INCONCLUSIVE where they do not show the `gap`.
         steps: after how many steps the law is tested.
         reversible: declare detailed balance, so that (first, last) must be exchangeable. Declared for moves of this
@@ -124,6 +126,8 @@ class Run:
     power: float
     progress: Callable[[int, int], None] | None
     n: int = 0
+    grow: int = 4
+    """How many times the first stage's replicas the second has."""
     reasons: list[str] = field(default_factory=list)
     inconclusive: list[str] = field(default_factory=list)
     first: Tally = field(default_factory=Tally)
@@ -151,10 +155,9 @@ class Run:
         self.keys = own + [(t, k) for t in sampler.steps for k in range(len(self.tests))]
         self.unlikely = self._unlikely(draws)
 
-    @property
-    def threshold(self) -> float:
-        """The p-value at which one test fails at the first stage."""
-        return self.scheme.first / len(self.keys)
+    def detectable(self, test: Test, n: int) -> float | None:
+        """The smallest gap that a test shows with the power asked for, of n replicas in the first stage."""
+        return detectable(test, self.scheme, len(self.keys), n, self.grow, self.power)
 
     def gap(self, n: int, *, known: bool = False) -> float:
         """The smallest gap that n replicas detect in any coordinate, or in those alone whose CDF is `known`.
@@ -164,7 +167,7 @@ class Run:
         tests = self._headline()
         if known:
             tests = [test for test in tests if isinstance(test, OneSample)] or tests
-        gaps = [test.gap(n, self.threshold, 1 - self.power) for test in tests]
+        gaps = [self.detectable(test, n) for test in tests]
         return max((g for g in gaps if g is not None), default=np.inf)
 
     def _headline(self) -> list[Test]:
@@ -176,7 +179,6 @@ class Run:
         needed, subject = _LOOKS, self.sampler.subject
         while self.gap(needed, known=gap is None) > (AIM if gap is None else gap) and needed < 2**27:
             needed = int(needed * 1.02) + 1
-        self.grow = 4
         if replicas is not None:
             require(replicas >= _LOOKS, f"{replicas} replicas are too few; give {_LOOKS} or more")
             n = replicas
@@ -338,7 +340,7 @@ class Run:
                     name=test.name,
                     steps=t,
                     p_value=p,
-                    gap=test.gap(self.n, self.threshold, 1 - self.power),
+                    gap=self.detectable(test, self.n),
                     where=test.worst(counts, 5) if p <= threshold else [],
                     curve=None if curve is None else [float(c) for c in curve],
                     residuals=[float(r) for r in test.residuals(counts)] if isinstance(test, OneSample) else None,

@@ -33,7 +33,7 @@ class Result:
     p_value: float
     """Its own, not yet multiplied by the number of tests."""
     gap: float | None
-    """The smallest CDF gap that it shows at the first stage's level with the stated probability."""
+    """The smallest CDF gap that it shows with the stated probability, at the first stage or the second."""
     where: list[str] = field(default_factory=list)
     """Where it deviates most."""
     curve: list[float] | None = None
