@@ -4,7 +4,7 @@ from mcmc1d.verify import laws, mutants
 from mcmc1d.verify.adapters import blackjax, emcee, numpyro
 from mcmc1d.verify.contract import Check, ContractError, ContractReport
 from mcmc1d.verify.efficiency import Efficiency, efficiency
-from mcmc1d.verify.engine import LawError, verify
+from mcmc1d.verify.engine import verify
 from mcmc1d.verify.finite import Enumeration, RingStep, enumerate_kernel, ring
 from mcmc1d.verify.kernels import HostKernel, JaxKernel
 from mcmc1d.verify.law import Continuous, Discrete, Law
@@ -14,6 +14,7 @@ from mcmc1d.verify.net import DepositLaw, deposit_law
 from mcmc1d.verify.operator import Operator, step_operator, transition_operator
 from mcmc1d.verify.report import Report, Result, Verdict, VerificationError
 from mcmc1d.verify.technique import check_technique
+from mcmc1d.verify.trial import LawError
 
 __all__ = [
     "Check",

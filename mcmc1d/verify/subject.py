@@ -89,7 +89,10 @@ class Subject(abc.ABC):
 
 def head(n: int, look: Look) -> Look:
     """The look at the first n replicas."""
-    cut = lambda tree: jax.tree.map(lambda a: a[:n], tree)  # noqa: E731
+
+    def cut(tree: Position) -> Position:
+        return jax.tree.map(lambda a: a[:n], tree)
+
     picked = look.picked
     if picked is not None:
         picked = Picked(cut(picked.points), picked.none[:n], picked.least, picked.most)

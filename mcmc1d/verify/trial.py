@@ -1,0 +1,299 @@
+"""One verification on its way: how many replicas, all stages, whether it moves and forgets, and what to report."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+
+from mcmc1d.numerics import require
+from mcmc1d.verify.battery import OneSample, Test, TwoSample, coordinates
+from mcmc1d.verify.design import auxiliary, design
+from mcmc1d.verify.diagnose import diagnose
+from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
+from mcmc1d.verify.law import Position
+from mcmc1d.verify.ledger import Scheme
+from mcmc1d.verify.library import LibrarySubject
+from mcmc1d.verify.power import detectable
+from mcmc1d.verify.report import Report, Result, Verdict
+from mcmc1d.verify.sampler import Sampler, Tally
+
+AIM = 0.005
+"""The CDF gap that is aimed at unless one is asked for."""
+SETTLE = 0.05
+"""The gap up to which a slow kernel may still PASS, where none was asked for."""
+_LOOKS = 16  # the early look is at this fraction of the first stage
+_RATE = 0.01  # a kernel that moves more often than that does not fail for never having moved
+_STARTS = 7  # the least likely draw, and both ends of up to three coordinates
+
+
+class LawError(ValueError):
+    """The law contradicts itself: its sampler and its exact values disagree."""
+
+
+@dataclass
+class Trial:
+    """One verification on its way."""
+
+    sampler: Sampler
+    scheme: Scheme
+    power: float
+    progress: Callable[[int, int], None] | None
+    n: int = 0
+    grow: int = 4
+    """How many times the first stage's replicas the second has."""
+    reasons: list[str] = field(default_factory=list)
+    inconclusive: list[str] = field(default_factory=list)
+    first: Tally = field(default_factory=Tally)
+    deciding: Tally = field(default_factory=Tally)
+    p_value: float = 1.0
+    stages: int = 0
+    replicas: int = 0
+    forgotten: Forgetting = field(default_factory=Forgetting)
+
+    def prepare(self) -> None:
+        """Look at the law and the kernel with a few draws, and choose the tests."""
+        sampler, subject = self.sampler, self.sampler.subject
+        draws = sampler.draw("design", 0, 0, 2 * REPLICAS)
+        few = jax.tree.map(lambda a: a[: subject.unit], draws)
+        subject.check(few)
+        look = next(iter(subject.watch(sampler.words("pilot"), 0, few, (1,))))
+        self.tests = sampler.tests = design(
+            sampler.law,
+            draws,
+            reversible=bool(subject.reversible),
+            deposits=look if look.picked is not None else None,
+            max_weight=sampler.max_weight,
+        )
+        own = [(0, k) for k, test in enumerate(self.tests) if sampler.own(test)]
+        self.keys = own + [(t, k) for t in sampler.steps for k in range(len(self.tests))]
+        self.unlikely = self._unlikely(draws)
+
+    def detectable(self, test: Test, n: int) -> float | None:
+        """The smallest gap that a test shows with the power asked for, of n replicas in the first stage."""
+        return detectable(test, self.scheme, len(self.keys), n, self.grow, self.power)
+
+    def gap(self, n: int, *, known: bool = False) -> float:
+        """The smallest gap that n replicas detect in any coordinate, or in those alone whose CDF is `known`.
+
+        Infinite where no coordinate is ordered.
+        """
+        tests = self._headline()
+        if known:
+            tests = [test for test in tests if isinstance(test, OneSample)] or tests
+        gaps = [self.detectable(test, n) for test in tests]
+        return max((g for g in gaps if g is not None), default=np.inf)
+
+    def _headline(self) -> list[Test]:
+        """The tests of the coordinates' own laws, those of a chain's primary sample left out."""
+        return [test for test in self.tests if test.layer == "marginal" and not auxiliary(test.name)]
+
+    def size(self, gap: float | None, seconds: float, replicas: int | None) -> None:
+        """Choose how many replicas: what the gap takes, or what the time affords; and the unit, from their number."""
+        needed, subject = _LOOKS, self.sampler.subject
+        while self.gap(needed, known=gap is None) > (AIM if gap is None else gap) and needed < 2**27:
+            needed = int(needed * 1.02) + 1
+        if replicas is not None:
+            require(replicas >= _LOOKS, f"{replicas} replicas are too few; give {_LOOKS} or more")
+            n = replicas
+        else:
+            n = needed
+            affordable = int(seconds * self.sampler.workers / self.sampler.seconds_a_replica())
+            if affordable < needed:
+                # A quarter of a power of two, so that two runs of one kernel on one machine mostly agree on it.
+                octave = 1 << max(affordable.bit_length() - 3, 0)
+                n = max(_LOOKS, affordable // octave * octave)
+        if n < needed:
+            self.grow = 1  # what is slow gets further stages of the same size
+        per_look = -(-n // _LOOKS)
+        if per_look < subject.unit:
+            subject.unit = max(subject.least_unit, 1 << (per_look - 1).bit_length())
+        self.n = n if replicas is not None else _LOOKS * (-(-per_look // subject.unit) * subject.unit)
+
+    def _unlikely(self, draws: Position) -> Position:
+        """The draws, the least likely first."""
+        log_density = self.sampler.law.log_density
+        if log_density is not None:
+            order = np.argsort(np.asarray(jax.vmap(log_density)(draws)))
+        else:
+            first = next(iter(coordinates(draws).values()))
+            order = np.argsort(-np.abs(first - np.median(first)))
+        return jax.tree.map(lambda a: np.asarray(a)[order], draws)
+
+    def decide(self, ergodic: bool) -> None:
+        """All stages; then whether it moves, and whether it forgets."""
+        n = self.n
+        for stage in range(1, self.scheme.stages + 1):
+            tally = self._gather(stage, n)
+            self.stages, self.deciding, self.replicas = stage, tally, self.replicas + tally.n
+            if stage == 1:
+                self.first, self.p_value = tally, self.combined(tally)
+            if self.reasons:
+                return
+            verdict = self.scheme.decide(stage, self.combined(tally))
+            if verdict == "fail":
+                self._failed(tally)
+                return
+            if verdict == "pass":
+                break
+            n = n * self.grow if stage == 1 else n
+        still = f"it never moves: no replica was elsewhere after any of {self.sampler.steps} steps"
+        if self.deciding.moved and ergodic and self.deciding.still:
+            still = f"it never moves {', '.join(sorted(self.deciding.still))}; ergodic=False is for a part of a kernel"
+        elif self.deciding.moved:
+            if ergodic:
+                self.forget()
+            return
+        # Few replicas of a kernel that seldom moves may all stay.
+        few = self.deciding.n * np.log1p(-_RATE) > np.log(self.scheme.level)
+        (self.inconclusive if few else self.reasons).append(still)
+
+    def _gather(self, stage: int, n: int) -> Tally:
+        total, looked = Tally(), False
+        for tally in self.sampler.stage(stage, n, _LOOKS):
+            if tally.wrong:
+                self.reasons += tally.wrong
+                total.n += tally.n
+                return total
+            total.add(tally)
+            if self.progress is not None:
+                self.progress(total.n, n)
+            if stage == 1 and not looked and total.n * _LOOKS >= n:
+                looked = True
+                if self.combined(total) <= self.scheme.early:
+                    self._failed(total)
+                    return total
+        return total
+
+    def p_values(self, tally: Tally) -> dict[tuple[int, int], float]:
+        """Each test's own."""
+        return {key: self.tests[key[1]].p_value(tally.counts[key]) for key in self.keys if key in tally.counts}
+
+    def combined(self, tally: Tally) -> float:
+        """The smallest p-value times the number of tests."""
+        return min(1.0, len(self.keys) * min(self.p_values(tally).values(), default=1.0))
+
+    def _failed(self, tally: Tally) -> None:
+        values = self.p_values(tally)
+        threshold = self.scheme.beta(max(self.stages, 1)) / len(self.keys)
+        own = {key: p for key, p in values.items() if key[0] == 0}
+        if min(own.values(), default=1.0) <= threshold:
+            worst = min(own, key=lambda key: own[key])
+            test = self.tests[worst[1]]
+            where = "; ".join(test.worst(tally.counts[worst], 3))
+            whole = all(np.all(values == np.round(values)) for values in coordinates(self.unlikely).values())
+            raise LawError(
+                f"{self.sampler.law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} "
+                f"from {tally.n} draws): {where}. Mend the sampler, the cdf, bins or masses"
+                + ("; the draws are whole numbers, whose law is given as a verify.Discrete" if whole else "")
+            )
+        worst = min(values, key=lambda key: values[key])
+        test, after = self.tests[worst[1]], f"after {worst[0]} step{'s' * (worst[0] > 1)}"
+        self.reasons.append(
+            {
+                "marginal": f"the law of {test.name} is wrong {after}",
+                "joint": f"the joint law of {test.name} is wrong {after}",
+                "density": f"the law of the {test.name} is wrong {after}",
+                "deposits": f"the deposits' law of {test.name} is wrong {after}",
+                "exchangeability": f"it is declared reversible and is not: {test.name} {after}",
+            }[test.layer]
+        )
+
+    def forget(self) -> None:
+        """Whether chains from some bad points come near the law, and after how many steps."""
+        sampler, subject = self.sampler, self.sampler.subject
+        points = self._bad_points()
+        total = min(REPLICAS, max(subject.unit, self.n))
+        count = min(len(jax.tree.leaves(points)[0]), max(1, total // 512))
+        n = total // count
+        points = jax.tree.map(lambda a: a[:count], points)
+        tests = [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
+        starts = subject.crowd(points, self.unlikely, n)
+        fresh = sampler.draw("forget", 0, 0, n)
+        self.forgotten = forgets(subject, tests, starts, fresh, sampler.words("walk"), sampler.inspect)
+        self.reasons += self.forgotten.reasons
+        self.inconclusive += self.forgotten.doubts
+
+    def _bad_points(self) -> Position:
+        """The user's bad start, the least likely draw, and the draws near both ends of a few coordinates.
+
+        At 1 % and 99 %: at the very ends a right kernel may hardly move (MALA at a wall).
+        """
+        rows = [0]
+        for name, values in coordinates(self.unlikely).items():
+            if np.ptp(values) > 0 and not auxiliary(name) and len(rows) < _STARTS:
+                order = np.argsort(values, kind="stable")
+                rows += [int(order[len(order) // 100]), int(order[-len(order) // 100])]
+        rows = list(dict.fromkeys(rows))
+        points = jax.tree.map(lambda a: np.asarray(a)[rows], self.unlikely)
+        bad = self.sampler.law.bad_start
+        if bad is None:
+            return points
+        return jax.tree.map(lambda a, b: np.concatenate([np.asarray(b, a.dtype)[None], a]), points, bad)
+
+    def report(self, name: str, seed: int, gap: float | None, replicas: int | None, seconds: float) -> Report:
+        """The verdict and all that it rests on."""
+        bought = self.gap(self.n)
+        limit = SETTLE if gap is None else gap
+        asked = (replicas is None or gap is not None) and limit * (1 + 1e-9) < bought < np.inf
+        if not self.reasons and (asked or 1 <= bought < np.inf):
+            self.inconclusive.append(
+                f"a gap of {limit:g} with probability {self.power:g} is out of reach: {self.n} replicas detect "
+                f"{bought:.2g}; allow more seconds= or replicas=, or a larger gap="
+            )
+        verdict = Verdict.FAIL if self.reasons else Verdict.INCONCLUSIVE if self.inconclusive else Verdict.PASS
+        values = self.p_values(self.deciding)
+        threshold = self.scheme.beta(max(self.stages, 1)) / len(self.keys)
+        results = []
+        for (t, k), p in values.items():
+            test, counts = self.tests[k], self.deciding.counts[t, k]
+            curve = test.curve(counts)
+            results.append(
+                Result(
+                    layer="law" if t == 0 else test.layer,
+                    name=test.name,
+                    steps=t,
+                    p_value=p,
+                    gap=self.detectable(test, self.n),
+                    where=test.worst(counts, 5) if p <= threshold else [],
+                    curve=None if curve is None else [float(c) for c in curve],
+                    residuals=[float(r) for r in test.residuals(counts)] if isinstance(test, OneSample) else None,
+                )
+            )
+        diagnosis: list[str] = []
+        sampler, subject = self.sampler, self.sampler.subject
+        if verdict is Verdict.FAIL and isinstance(subject, LibrarySubject) and self.deciding.counts:
+            diagnosis = diagnose(subject, sampler.words("one step"), sampler.draw("diagnosis", 0, 0, 2**17))
+        return Report(
+            name=name,
+            kernel=subject.name,
+            law=sampler.law.name,
+            verdict=verdict,
+            reasons=self.reasons or self.inconclusive,
+            level=self.scheme.level,
+            threshold=threshold,
+            p_value=self.p_value,
+            stages=self.stages,
+            replicas=self.replicas,
+            first_replicas=self.n,
+            gap=bought,
+            power=self.power,
+            moved=self.deciding.moved / max(self.deciding.n, 1),
+            forgotten=self.forgotten.steps,
+            forgotten_within=self.forgotten.within,
+            resolution=max((test.resolution for test in self._headline()), default=0.0),
+            reversible=bool(subject.reversible),
+            first_stage={
+                f"{test.layer}: {test.name} after {t}": test.p_value(self.first.counts[t, k])
+                for (t, k) in self.keys
+                for test in [self.tests[k]]
+                if (t, k) in self.first.counts
+            },
+            deciding_replicas=self.deciding.n,
+            seed=seed,
+            seconds=seconds,
+            steps=sampler.steps,
+            tests=len(self.keys),
+            results=results,
+            diagnosis=diagnosis,
+        )
