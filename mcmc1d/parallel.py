@@ -130,7 +130,8 @@ def _gather(work: Callable[[], Sequence[Place]], fresh: Sequence[Place], head: d
         mine = b"-" + str(error).encode()
     said = _exchange(mine)
     for process, content in enumerate(said):
-        require(content[:1] == b"+", f"process {process}: {content[1:].decode()}")
+        if content[:1] == b"-":
+            raise ValueError(f"process {process}: {content[1:].decode()}")
     places = list(fresh)
     for process, content in enumerate(said):
         its = slice(process, None, jax.process_count())
