@@ -170,7 +170,7 @@ def _print_claims(found: list[framework.Claim]) -> None:
 def main() -> None:
     """The command line: what a user got wrong is one line and exit code 2."""
     # Compiled code is kept between runs, here and not in the library: a program's settings are the program's.
-    keep_compiled(str(framework.CACHE))
+    keep_compiled()
     try:
         app(standalone_mode=True)
     except ValueError as error:

@@ -42,11 +42,11 @@ def versions(source: str) -> dict[str, str]:
 
 def remote(work: Callable[..., Any], point: tuple[Any, ...], expected: dict[str, str]) -> Any:
     """What a worker does."""
-    from experiments.support import framework, sweep
+    from experiments.support import sweep
 
     found = versions(sweep.source())
     differs = [f"{name} {found[name]}, not {expected[name]}" for name in expected if found[name] != expected[name]]
     if differs:
         raise ValueError(f"a worker of the cluster has {', '.join(differs)}: give it what this process has")
-    sweep.keep_compiled(str(framework.CACHE))
+    sweep.keep_compiled()
     return work(*point)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import mcmc1d
 
@@ -33,7 +34,7 @@ def at(prefix: str | None, show: Show | None) -> Iterator[None]:
         _HERE.reset(token)
 
 
-def long_run(name: str, *arguments: Any, **options: Any) -> mcmc1d.Run:
+def long_run(name: str, *arguments: Any, **options: Any) -> "mcmc1d.Run":
     """`mcmc1d.run(*arguments, **options)`, which goes on from where an interrupted experiment has left it.
 
     `name` is what is shown; no other run of the experiment, or of the sweep's point, may have it. Outside of an
@@ -41,11 +42,8 @@ def long_run(name: str, *arguments: Any, **options: Any) -> mcmc1d.Run:
     """
     prefix, show = _HERE.get() or _Here()
     if prefix is not None:
-        options |= {
-            "checkpoint": f"{prefix}.{re.sub('[^a-z0-9]+', '-', name.lower())}",
-            "every": SECONDS,
-            "resume": True,
-        }
+        file = f"{re.sub('[^a-z0-9]+', '-', name.lower())}-{crc32(name.encode()):08x}"
+        options |= {"checkpoint": f"{prefix}.{file}", "every": SECONDS, "resume": True}
     if show is not None:
         options["progress"] = lambda done, total: show(name, done, total)
     return mcmc1d.run(*arguments, **options)

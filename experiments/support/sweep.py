@@ -18,6 +18,9 @@ from experiments.support.cluster import on_cluster
 from experiments.support.long import Show, at
 from mcmc1d.numerics import require
 
+CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "mcmc1d" / "jax"
+"""Where compiled code is kept."""
+
 
 class Sweep:
     """What an experiment's `run` is given: call it to show progress, `map` with it what takes long.
@@ -103,7 +106,7 @@ def _inside(prefix: str | None, work: Callable[..., Any], point: tuple[Any, ...]
         return work(*point)
 
 
-def keep_compiled(folder: str | None) -> None:
+def keep_compiled(folder: str | None = str(CACHE)) -> None:
     """Keep all compiled code in a folder, between processes and runs: a program's setting, not the library's."""
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
