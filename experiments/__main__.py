@@ -9,8 +9,9 @@ import typer
 from rich.console import Console
 
 from experiments.support import framework
+from experiments.support.long import at
 from experiments.support.progress import bars
-from experiments.support.sweep import Sweep, journal, keep_compiled
+from experiments.support.sweep import Sweep, checkpoints, journal, keep_compiled
 
 app = typer.Typer(
     help="Reproduce the papers' experiments: figures, data and claims with verdicts.",
@@ -42,6 +43,7 @@ def run(
     out: Out = Path("figures"),
     set_: Annotated[list[str] | None, typer.Option("--set", help="Override a field: name=value, repeatable.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes that share a sweep's work, each pinned to a core.")] = 1,
+    dask: Annotated[str | None, typer.Option(help="A Dask scheduler, tcp://..., whose workers share a sweep.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Take up what an interrupted run has left.")] = False,
 ) -> None:
     """Run experiments: write NAME.png, .pdf, .nc and .json; exit 1 where a verdict is not what theory predicts."""
@@ -60,10 +62,11 @@ def run(
         kind = {"experiment": name, "config": dataclasses.asdict(config), "seed": seed}
         with journal(out / f".{name}.journal", kind, resume) as kept:
             try:
-                with bars(errors) as show:
-                    data = module.run(config, seed, Sweep(show, kept, jobs))
+                with bars(errors) as show, at(str(kept.path), show):
+                    data = module.run(config, seed, Sweep(show, kept, jobs, dask))
             except KeyboardInterrupt:
-                errors.print(f"{name}: interrupted; {len(kept)} finished parts are kept for --resume")
+                saved = f"{len(kept)} finished parts and {len(checkpoints(kept.path))} checkpoints"
+                errors.print(f"{name}: interrupted; {saved} are kept: go on with the same command and --resume")
                 raise typer.Exit(130) from None
             claims = module.judge(data)
             record = framework.manifest(name, profile, config, seed, claims)
@@ -167,7 +170,7 @@ def _print_claims(found: list[framework.Claim]) -> None:
 def main() -> None:
     """The command line: what a user got wrong is one line and exit code 2."""
     # Compiled code is kept between runs, here and not in the library: a program's settings are the program's.
-    keep_compiled(str(framework.CACHE))
+    keep_compiled()
     try:
         app(standalone_mode=True)
     except ValueError as error:

@@ -14,6 +14,7 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.beyond_rjmlt_dimensions import RIGHT, TRANSDIMENSIONAL, LineAndSquare, kernels
 from experiments.support.framework import Claim
+from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import verdict
 from mcmc1d import verify
@@ -136,7 +137,8 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     cells, reports = [], []
     todo = kernels()
     for k, (name, move) in enumerate(todo.items()):
-        simulated = mcmc1d.run(
+        simulated = long_run(
+            f"jumps, {name}",
             jax.random.fold_in(jax.random.key(seed), k),
             move,
             TRANSDIMENSIONAL,

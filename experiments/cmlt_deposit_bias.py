@@ -13,6 +13,7 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import Move, MultipleTry, SmallStep
@@ -85,7 +86,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     net = deposit_law(one, target, edges, points=config.points)
     size: dict[str, Any] = {"steps": config.steps, "chains": config.chains, "blocks": config.blocks}
     estimators = {"x": mcmc1d.Histogram(len(F))}
-    simulated = mcmc1d.run(jax.random.key(seed), one, target, **size, estimators=estimators)
+    simulated = long_run("simulated", jax.random.key(seed), one, target, **size, estimators=estimators)
     line = mcmc1d.Multiplexed(Sinusoid(0.9, 2.0, 0.1), Uniform())
     error, bias, spread = (np.zeros((len(DEPOSITS), len(TRIES))) for _ in range(3))
     for row, deposit in enumerate(DEPOSITS):
@@ -117,7 +118,8 @@ def _errors(config: Config, deposit: str, tries: int, target: mcmc1d.Multiplexed
     exact = masses / masses.sum()
     each = config.work // (config.blocks * evaluations(deposit, tries))
     chains = max(1, min(64, each // 64))
-    run = mcmc1d.run(
+    run = long_run(
+        f"error, {deposit}, {tries}",
         key,
         kernel(deposit, SmallStep(config.sigma), tries),
         target,

@@ -13,6 +13,7 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.long import long_run
 from experiments.support.scenes import glints, walk
 from experiments.support.sweep import Sweep
 from mcmc1d.image import Film, Image
@@ -101,7 +102,8 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     size = (len(names), config.blocks, config.pixels)
     images, densities, rates = np.zeros(size), np.zeros(size), np.zeros(len(names))
     for k, (name, importance) in enumerate(chosen.items()):
-        found = mcmc1d.run(
+        found = long_run(
+            f"image, {name}",
             jax.random.fold_in(key, k),
             Mixture({"small": (0.9, SmallStep(config.sigma)), "large": (0.1, LargeStep())}),
             mcmc1d.Multiplexed(importance, Uniform()),

@@ -17,6 +17,7 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Mixture, Move, SmallStep, StepAndChange, TechniqueChange
@@ -84,7 +85,8 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     joint = {}
     for k, (name, target) in enumerate((*targets.items(), ("lost", lost))):
         key = jax.random.fold_in(jax.random.key(seed), k)
-        found = mcmc1d.run(key, step, target, **size, estimators={"x": mcmc1d.Histogram(config.bins, joint=True)})
+        estimators = {"x": mcmc1d.Histogram(config.bins, joint=True)}
+        found = long_run(f"histogram, {name}", key, step, target, **size, estimators=estimators)
         joint[name] = found.mean("x")
         progress("histograms", k + 1, 4)
 

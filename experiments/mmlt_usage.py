@@ -15,6 +15,7 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.long import long_run
 from experiments.support.mmlt_usage_lengths import CHECKPOINTS, FIRST, histograms, lengths
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import verdict
@@ -119,7 +120,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         if name == "MMLT":
             size: dict[str, Any] = {"steps": config.steps, "chains": config.chains, "blocks": config.blocks}
             joint_histogram = {"x": mcmc1d.Histogram(edges, joint=True)}
-            chains = mcmc1d.run(key, kernel, own, **size, estimators=joint_histogram)
+            chains = long_run("usage", key, kernel, own, **size, estimators=joint_histogram)
             blocks = chains.sums["x"].sum(2) * config.blocks / (config.chains * config.steps)
             usage, usage_error = blocks.mean(0), blocks.std(0, ddof=1) / np.sqrt(config.blocks)
         ratio, spread = _effective(config, own, kernel, jax.random.fold_in(key, 1))

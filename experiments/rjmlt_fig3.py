@@ -1,7 +1,7 @@
 """Bitterli et al. 2017, section 7.1 and figure 3: five integrators on the line, two of them wrong."""
 
+import dataclasses
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import emcee
@@ -16,6 +16,7 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
 from mcmc1d.moves import AimedJump, Mixture, Move, ReversibleJump, SmallStep, TechniqueChange
 from mcmc1d.techniques import Mixture as MixtureTechnique
@@ -96,15 +97,11 @@ def _target(config: Config, mixture: Technique) -> mcmc1d.Multiplexed:
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every integrator: replicas tested after `replica_steps`, then histograms, acceptance and autocorrelation."""
     edges = np.linspace(0, 1, config.bins + 1)
-    # One law for all: a wrong inverse changes neither f nor the densities.
-    exact = _target(config, _MIXTURE).joint_masses(edges)
-    results = []
-    for k, (name, (target, move)) in enumerate(integrators(config).items()):
-        key = jax.random.fold_in(jax.random.key(seed), k)
-        results.append(_measure(config, name, target, move, exact, edges, key, partial(progress, name)))
+    points = [(dataclasses.asdict(config), seed, name) for name in RIGHT]
+    results = [xr.Dataset.from_dict(found) for found in progress.map("integrators", measure, points)]
     data = xr.concat(results, "integrator").assign_coords(integrator=list(RIGHT))
     return data.assign(
-        exact=(("technique", "bin"), exact),
+        exact=(("technique", "bin"), _target(config, _MIXTURE).joint_masses(edges)),
         right=("integrator", list(RIGHT.values())),
         detectable_gap=smallest_gap(config.replicas, config.level),
         level=config.level,
@@ -113,28 +110,25 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     ).assign_coords(technique=list(TECHNIQUES), kind=list(KINDS), bin=(edges[1:] + edges[:-1]) / 2)
 
 
-def _measure(
-    config: Config,
-    name: str,
-    target: mcmc1d.Multiplexed,
-    move: Move,
-    exact: np.ndarray,
-    edges: np.ndarray,
-    key: jax.Array,
-    progress,
-) -> xr.Dataset:
+def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
+    """One integrator's results, as `xarray.Dataset.to_dict` has them."""
+    config = Config(**fields)
+    target, move = integrators(config)[name]
+    key = jax.random.fold_in(jax.random.key(seed), list(RIGHT).index(name))
     first, second, third = jax.random.split(key, 3)
-    work = config.replicas * config.replica_steps, config.chains * config.steps
+    edges = np.linspace(0, 1, config.bins + 1)
+    # One law for all: a wrong inverse changes neither f nor the densities.
+    exact = _target(config, _MIXTURE).joint_masses(edges)
 
     # Independent chains, exact starts: a p-value without burn-in and without autocorrelation.
-    replicas = mcmc1d.run(
+    replicas = long_run(
+        f"{name}: replicas",
         first,
         move,
         target,
         steps=config.replica_steps,
         chains=config.replicas,
         blocks=config.blocks,
-        progress=lambda done, _: progress(done, sum(work)),
     )
     x = jax.vmap(target.evaluate)(replicas.state).seen.x
     bins = np.clip(np.searchsorted(edges, np.asarray(x), side="right") - 1, 0, config.bins - 1)
@@ -145,9 +139,12 @@ def _measure(
     start = jax.tree.map(lambda leaf: leaf[: config.chains], replicas.state)
     if not RIGHT[name] and config.burn > 0:
         fresh = jax.random.fold_in(second, 1)
-        start = mcmc1d.run(fresh, move, target, steps=config.burn, chains=config.chains, start=start).state
+        start = long_run(
+            f"{name}: burn-in", fresh, move, target, steps=config.burn, chains=config.chains, start=start
+        ).state
     estimators = {"joint": mcmc1d.Histogram(config.bins, joint=True), "acceptance": mcmc1d.Acceptance()}
-    long = mcmc1d.run(
+    long = long_run(
+        f"{name}: histograms",
         second,
         move,
         target,
@@ -156,7 +153,6 @@ def _measure(
         blocks=config.blocks,
         estimators=estimators,
         start=start,
-        progress=lambda done, _: progress(work[0] + done, sum(work)),
     )
     joint = long.mean("joint")
     per_block = long.sums["joint"].sum(1) * config.blocks / (config.chains * config.steps)
@@ -171,7 +167,7 @@ def _measure(
         law = transition_operator(move, target, points=config.operator_points).law_of(edges)
         predicted = law.masses
         noise = _noise(long.sums["joint"] * config.blocks / (config.chains * config.steps))
-    return xr.Dataset(
+    found = xr.Dataset(
         {
             "joint": (("technique", "bin"), joint),
             "error_x": ("bin", per_block.std(0, ddof=1) / np.sqrt(config.blocks)),
@@ -188,6 +184,7 @@ def _measure(
             "autocorrelation_time": float(time[0]),
         }
     )
+    return found.to_dict()
 
 
 def _noise(blocks: np.ndarray, level: float = 1e-3) -> float:

@@ -2,8 +2,8 @@
 
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from importlib.metadata import version
 from typing import Any
 
 import equinox as eqx
@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d import parallel
+from mcmc1d.checkpoint import Place, Saving, describe
 from mcmc1d.estimators import Estimator
 from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move
@@ -79,18 +81,28 @@ def run(
     start: State | None = None,
     dtype: Any = None,
     progress: Progress | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    every: float = 60.0,
+    resume: bool = False,
 ) -> Run:
     """Run independent chains and accumulate what the estimators ask for.
 
     The chains are dealt into `blocks` of equal size (unless given: 8, or as many under 8 as divide them), each with
     accumulators and random numbers of its own: the unit of work, and of the standard error. Blocks run on all cores
-    at hand; the result does not depend on how many.
+    at hand, are dealt over JAX's devices, and over processes that work together by `jax.distributed`, each of which
+    makes the same call and gets the whole result: it does not depend on how many there are of any, to the bit.
 
     Arguments: `kernel`, or a move that `Metropolis` then accepts; `start`, one state per chain (leading axis), drawn
     exactly from the target unless given, so that a right kernel needs no burn-in; `dtype`, JAX's default float
     unless given; `progress`, called as the work advances.
 
-    Raises `ValueError` where the kernel or an estimator does not fit the target, and where a chain met a NaN of it.
+    A run that is long is saved in the file `checkpoint`, `every` so many seconds (where a drain of the sums takes
+    longer, after each), at Ctrl-C and at its end: the same call with `resume=True` goes on from there, or begins where
+    there is no such file, and the result is that of a run without a break, to the bit. (With several processes, each
+    has a file of its own, `checkpoint` and its number.) The file is yours to delete.
+
+    Raises `ValueError` where the kernel or an estimator does not fit the target, where a chain met a NaN of it, and
+    where the checkpoint is damaged, of another run (it says what differs), or open in one.
     """
     kernel = as_kernel(kernel, "run: the kernel")
     require_multiplexed(target, "run")
@@ -115,41 +127,34 @@ def run(
     size = chains // blocks
     zeros = {name: estimator.init(target, kernel, dtype) for name, estimator in asked.items()}
     per_drain = max(1, min(_STEPS_PER_DRAIN, _DEPOSITS_PER_DRAIN // size))
-    done = 0
+    nothing = jax.tree.map(lambda z: np.zeros(z.shape), zeros)
+    fresh = [Place(0, State(index[b : b + size], u[b : b + size]), nothing) for b in range(0, chains, size)]
 
-    wide = jnp.zeros(()).dtype == jnp.float64
+    def arguments(block: int, device: Any, place: Place, count: int) -> tuple[Any, ...]:
+        constant = jax.random.fold_in(step_key, block), kernel, target, asked
+        return parallel.put((*constant, place.state, zeros, jnp.asarray(place.step), jnp.asarray(count)), device)
 
-    def run_block(block: int) -> tuple[State, Any]:
-        # A worker thread does not inherit a context such as `with jax.enable_x64(True)`.
-        with jax.enable_x64(wide):
-            return advance_block(block)
+    def advance(block: int, device: Any, place: Place, count: int) -> Place:
+        state, sums, trapped = _advance(*arguments(block, device, place, count))
+        require_defined(target, state, trapped)
+        totals = jax.tree.map(lambda t, s: t + np.asarray(s, np.float64), place.totals, sums)
+        return Place(place.step + count, state, totals)
 
-    def advance_block(block: int) -> tuple[State, Any]:
-        nonlocal done
-        own = slice(block * size, (block + 1) * size)
-        state = State(index[own], u[own])
-        block_key = jax.random.fold_in(step_key, block)
-        totals = jax.tree.map(lambda z: np.zeros(z.shape), zeros)
-        for first in range(0, steps, per_drain):
-            count = min(per_drain, steps - first)
-            state, sums, trapped = _advance(
-                block_key, kernel, target, asked, state, zeros, jnp.asarray(first), jnp.asarray(count)
-            )
-            require_defined(target, state, trapped)
-            totals = jax.tree.map(lambda t, s: t + np.asarray(s, np.float64), totals, sums)
-            done += size * count
-            if progress is not None:
-                progress(done, chains * steps)
-        return state, totals
+    def identity() -> dict[str, Any]:
+        """All that the bits of the result depend on; what a user's functions do shows in the program."""
+        numbers = {"steps": steps, "chains": chains, "blocks": blocks, "dtype": str(dtype)}
+        parts = {"key": key, "start": (index, u), "kernel": kernel, "target": target, "estimators": asked}
+        compiled: Any = _advance
+        program = compiled.lower(*arguments(0, None, fresh[0], 0)).as_text()
+        parts["program"] = f"{per_drain} {jax.devices()[0].device_kind} {program}"
+        versions = {name: version(name) for name in ("jax", "jaxlib")}
+        return numbers | versions | {name: describe(part) for name, part in parts.items()}
 
-    workers = min(blocks, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
-    with ThreadPoolExecutor(workers) as pool:
-        # The first block compiles; the rest then find it done.
-        results = [run_block(0), *pool.map(run_block, range(1, blocks))]
-    states, sums = zip(*results, strict=True)
+    saving = Saving(checkpoint, every, resume)
+    places = parallel.run_blocks(advance, fresh, steps, per_drain, progress, identity, saving)
     return Run(
-        state=jax.tree.map(lambda *s: jnp.concatenate(s), *states),
-        sums=jax.tree.map(lambda *s: np.stack(s), *sums),
+        state=jax.tree.map(lambda *s: jnp.asarray(np.concatenate(s)), *(place.state for place in places)),
+        sums=jax.tree.map(lambda *s: np.stack(s), *(place.totals for place in places)),
         chains=chains,
         steps=steps,
         kinds=kernel.kinds,

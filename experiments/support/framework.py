@@ -3,7 +3,6 @@
 import dataclasses
 import importlib
 import json
-import os
 import pkgutil
 import platform
 import subprocess
@@ -24,7 +23,6 @@ import experiments
 from mcmc1d.numerics import require
 
 PACKAGES = ("mcmc1d", "jax", "jaxlib", "equinox", "numpy", "scipy", "matplotlib", "emcee", "xarray")
-CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "mcmc1d" / "jax"
 STYLE = Path(__file__).with_name("paper.mplstyle")
 
 

@@ -1,4 +1,4 @@
-"""A sweep: one function at many points, here or on one pinned process a core; what is finished outlives a kill."""
+"""A sweep: one function at many points, here, on a pinned process a core or a cluster; what is done outlives a kill."""
 
 import fcntl
 import hashlib
@@ -8,15 +8,18 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
 import jax
 
+from experiments.support.cluster import on_cluster
+from experiments.support.long import Show, at
 from mcmc1d.numerics import require
 
-Show = Callable[[str, int, int], None]
-"""Called with a stage's name, the work done in it and the work in all."""
+CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "mcmc1d" / "jax"
+"""Where compiled code is kept."""
 
 
 class Sweep:
@@ -26,12 +29,16 @@ class Sweep:
         show: shows progress.
         journal: where finished points are kept; None keeps none.
         jobs: processes, each pinned to a core of its own; 1 works in this process, unpinned.
+        dask: the address of a Dask scheduler, whose workers do it instead.
 
     """
 
-    def __init__(self, show: Show, journal: "Journal | None" = None, jobs: int = 1):
+    def __init__(self, show: Show, journal: "Journal | None" = None, jobs: int = 1, dask: str | None = None):
         require(jobs >= 1, f"jobs is a number of processes, at least 1, not {jobs}")
-        self._show, self._journal, self._jobs = show, journal, jobs
+        require(
+            dask is None or jobs == 1, "--dask has the cluster do the work, --jobs processes of this machine: say one"
+        )
+        self._show, self._journal, self._jobs, self._dask = show, journal, jobs, dask
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         self._show(stage, done, total)
@@ -40,7 +47,8 @@ class Sweep:
         """`[work(*point) for point in points]`, each as JSON gives it back; points in the journal are not done again.
 
         `work` is a function of a module, and its result depends on nothing but the point: then it does not matter which
-        process did it, or when. Points and results are made of what JSON knows.
+        process did it, or when. Points and results are made of what JSON knows. A point's `long_run`s are saved as they
+        go, but on a cluster, which need not share a disk.
         """
         results: dict[int, Any] = {}
         todo: dict[int, tuple[Any, ...]] = {}
@@ -51,17 +59,26 @@ class Sweep:
             else:
                 todo[k] = point
         self(stage, len(results), len(points))
-        for k, result in self._work(work, todo):
+        for k, result in self._work(stage, work, todo):
             results[k] = json.loads(json.dumps(result))
             if self._journal is not None:
                 self._journal.append(stage, points[k], results[k])
             self(stage, len(results), len(points))
         return [results[k] for k in range(len(points))]
 
-    def _work(self, work: Callable[..., Any], points: dict[int, tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+    def _work(
+        self, stage: str, work: Callable[..., Any], points: dict[int, tuple[Any, ...]]
+    ) -> Iterator[tuple[int, Any]]:
+        kept = {k: None if self._journal is None else self._journal.prefix(stage, point) for k, point in points.items()}
+        if self._dask is not None and points:
+            yield from on_cluster(self._dask, work, points, source())
+            return
         jobs = min(self._jobs, len(points))
         if jobs <= 1:
-            yield from ((k, work(*point)) for k, point in points.items())
+            for k, point in points.items():
+                with at(kept[k], self._show):
+                    result = work(*point)
+                yield k, result
             return
         # JAX has threads, and a fork would copy their locks as they are.
         context = multiprocessing.get_context("spawn")
@@ -69,7 +86,7 @@ class Sweep:
         for core in (sorted(os.sched_getaffinity(0)) * jobs)[:jobs]:
             cores.put(core)
         with ProcessPoolExecutor(jobs, context, _pin, (cores, jax.config.values["jax_compilation_cache_dir"])) as pool:
-            futures = {pool.submit(work, *point): k for k, point in points.items()}
+            futures = {pool.submit(_inside, kept[k], work, point): k for k, point in points.items()}
             try:
                 yield from ((futures[future], future.result()) for future in as_completed(futures))
             except BaseException:
@@ -83,7 +100,13 @@ def _pin(cores: Any, cache: str | None) -> None:
     keep_compiled(cache)
 
 
-def keep_compiled(folder: str | None) -> None:
+def _inside(prefix: str | None, work: Callable[..., Any], point: tuple[Any, ...]) -> Any:
+    """A point, in another process: its long runs are saved, and shown to nobody."""
+    with at(prefix, None):
+        return work(*point)
+
+
+def keep_compiled(folder: str | None = str(CACHE)) -> None:
     """Keep all compiled code in a folder, between processes and runs: a program's setting, not the library's."""
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
@@ -91,10 +114,13 @@ def keep_compiled(folder: str | None) -> None:
 
 
 class Journal:
-    """The finished points of one run, a line each, in a file that only this run has open."""
+    """The finished points of one run, a line each, in a file that only this run has open.
 
-    def __init__(self, file: IO[str], lines: list[dict[str, Any]]):
-        self._file = file
+    Beside it stand the checkpoints of its long runs, whose names begin with the file's.
+    """
+
+    def __init__(self, path: Path, file: IO[str], lines: list[dict[str, Any]]):
+        self.path, self._file = path, file
         self._known = {_key(line["stage"], line["point"]): line["result"] for line in lines}
 
     def __len__(self) -> int:
@@ -105,12 +131,23 @@ class Journal:
         key = _key(stage, point)
         return key in self._known, self._known.get(key)
 
+    def prefix(self, stage: str, point: tuple[Any, ...]) -> str:
+        """What the names of the checkpoints of a point's long runs begin with."""
+        return f"{self.path}.{_digest(_key(stage, point))}"
+
     def append(self, stage: str, point: tuple[Any, ...], result: Any) -> None:
-        """Keep a result; it stands in the file, whole, when this returns."""
+        """Keep a result; it stands in the file, whole, when this returns, and its checkpoints are gone."""
         self._file.write(_line({"stage": stage, "point": point, "result": result}))
         self._file.flush()
         os.fsync(self._file.fileno())
         self._known[_key(stage, point)] = result
+        for checkpoint in checkpoints(Path(self.prefix(stage, point))):
+            checkpoint.unlink()
+
+
+def checkpoints(path: Path) -> list[Path]:
+    """The files whose names go on where `path` ends."""
+    return [found for found in path.parent.iterdir() if found.name.startswith(f"{path.name}.")]
 
 
 @contextmanager
@@ -137,9 +174,10 @@ def journal(path: Path, run: dict[str, Any], resume: bool) -> Iterator[Journal]:
         text = file.read()
         text = text[: text.rfind("\n") + 1]
         lines = _lines(path, text)
-        if len(lines) > 1:
+        unfinished = checkpoints(path) if lines else []
+        if len(lines) > 1 or unfinished:
             start_over = f"delete {path} to start over"
-            left = f"an interrupted run has left {len(lines) - 1} finished parts"
+            left = f"an interrupted run has left {len(lines) - 1} finished parts and {len(unfinished)} checkpoints"
             require(resume, f"{left}: go on with --resume, or {start_over}")
             differs = [name for name in head if lines[0].get(name) != head[name]]
             require(not differs, f"the interrupted run differs in its {', '.join(differs)}; {start_over}")
@@ -148,17 +186,22 @@ def journal(path: Path, run: dict[str, Any], resume: bool) -> Iterator[Journal]:
             file.truncate(0)
             file.write(_line(head))
             file.flush()
-        kept = Journal(file, lines[1:])
+            for orphan in checkpoints(path):  # their journal was deleted, to start over
+                orphan.unlink()
+        kept = Journal(path, file, lines[1:])
         try:
             yield kept
         except BaseException:
-            if not len(kept):
+            if not len(kept) and not checkpoints(path):
                 path.unlink()
             raise
         # Only a run that has written its results forgets how it came to them.
+        for checkpoint in checkpoints(path):
+            checkpoint.unlink()
         path.unlink()
 
 
+@cache
 def source() -> str:
     """A digest of every Python file of the library and the experiments: results of other code are other results."""
     digest = hashlib.sha256()

@@ -28,7 +28,7 @@ def experiments(*arguments, cwd=ROOT):
 @pytest.fixture
 def inside(monkeypatch, capsys):
     """The command in this process, which has imported all that it needs: (exit code, output, errors)."""
-    monkeypatch.setattr(command_line, "keep_compiled", lambda folder: None)  # the tests keep compiled code elsewhere
+    monkeypatch.setattr(command_line, "keep_compiled", lambda: None)  # the tests keep compiled code elsewhere
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["experiments", *map(str, arguments)])

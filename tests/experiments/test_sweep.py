@@ -8,9 +8,14 @@ import sys
 import time
 from pathlib import Path
 
+import jax
 import pytest
 
-from experiments.support.sweep import Sweep, journal
+import mcmc1d
+from experiments.support import long
+from experiments.support.long import long_run
+from experiments.support.sweep import Sweep, checkpoints, journal
+from mcmc1d import chain, moves, targets, techniques
 
 ROOT = Path(__file__).parents[2]
 KIND = {"experiment": "squares", "config": {"slow": False}, "seed": 3}
@@ -122,7 +127,10 @@ def test_a_changed_line_is_found(left):
 
 
 def test_results_are_not_thrown_away_unasked(left):
-    with pytest.raises(ValueError, match="left 3 finished parts: go on with --resume"), journal(left, KIND, False):
+    with (
+        pytest.raises(ValueError, match="left 3 finished parts and 0 checkpoints: go on with"),
+        journal(left, KIND, False),
+    ):
         pass
 
 
@@ -143,3 +151,43 @@ def test_a_run_that_did_nothing_leaves_nothing(tmp_path):
     with pytest.raises(ZeroDivisionError), journal(path, KIND, resume=False):
         raise ZeroDivisionError
     assert not path.exists()
+
+
+def long_point(seed):
+    """A point of two runs, the second from where the first has ended."""
+    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Tent())
+    arguments = {"steps": 64, "chains": 64, "blocks": 2, "estimators": {"h": mcmc1d.Histogram(10)}}
+    first = long_run("first", jax.random.key(seed), moves.SmallStep(), target, **arguments)
+    second = long_run("second", jax.random.key(9), moves.SmallStep(), target, start=first.state, **arguments)
+    return (first.sums["h"] + second.sums["h"]).tolist()
+
+
+def test_a_long_run_inside_of_a_point_goes_on_where_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(chain, "_STEPS_PER_DRAIN", 8)
+    monkeypatch.setattr(long, "SECONDS", 0.0)
+    path, seen = tmp_path / ".long.journal", []
+
+    def stop(stage, done, total):
+        if stage == "second" and done >= total / 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt, match="all of it is in"), journal(path, KIND, False) as kept:
+        Sweep(stop, kept).map("long", long_point, [(1,)])
+    assert len(checkpoints(path)) == 2
+    with pytest.raises(ValueError, match="0 finished parts and 2 checkpoints: go on with"), journal(path, KIND, False):
+        pass
+    with journal(path, KIND, resume=True) as kept:
+        found = Sweep(lambda *report: seen.append(report), kept).map("long", long_point, [(1,)])
+        assert checkpoints(path) == []
+    assert [report for report in seen if report[0] == "first"] == []
+    assert next(done / total for stage, done, total in seen if stage == "second") > 0.5
+    assert found == Sweep(quiet).map("long", long_point, [(1,)])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_checkpoints_whose_journal_was_deleted_are_not_taken_up(tmp_path):
+    path = tmp_path / ".long.journal"
+    Path(f"{path}.0123.first").write_bytes(b"of another time")
+    with journal(path, KIND, resume=True) as kept:
+        assert checkpoints(path) == []
+        assert len(kept) == 0
