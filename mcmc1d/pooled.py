@@ -20,6 +20,7 @@ from mcmc1d.numerics import cast, log_sum, require
 from mcmc1d.quadrature import integrate
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import DensityOf, Target
+from mcmc1d.techniques import Several
 from mcmc1d.techniques.product import cube
 from mcmc1d.types import Array, Corners, Float, Scalar
 
@@ -55,7 +56,11 @@ class Pooled(Target):
 
     def contributions(self, u: Float[Array, " m"]) -> tuple[Float[Array, "n ..."], Float[Array, " n"]]:
         """(x_i, log C_i) of every technique."""
-        found = [self.multiplexed.evaluate(State(i, u)).seen for i in range(self.multiplexed.n_techniques)]
+        n = self.multiplexed.n_techniques
+        if not isinstance(self.multiplexed.family, Several):  # they share their work, and one program makes them all
+            seen = jax.vmap(lambda i: self.multiplexed.evaluate(State(i, u)).seen)(jnp.arange(n, dtype=jnp.int32))
+            return seen.x, seen.log_c
+        found = [self.multiplexed.evaluate(State(i, u)).seen for i in range(n)]
         return jnp.stack([one.x for one in found]), jnp.stack([one.log_c for one in found])
 
     def log_f(self, x: Float[Array, "..."]) -> Scalar:

@@ -75,7 +75,8 @@ class Multiplexed(eqx.Module):
     ):
         """`weights`: the balance heuristic unless given; a function (x, p[n]) -> w[n] will do.
 
-        `techniques`: one, several, or a `Family` of those that share their work.
+        `techniques`: one, several, or a `Family` of those that share their work. `probes`: 0 looks at none, for
+        targets that are known to be sound.
         """
         require_instance(target, Target, "Multiplexed: the target", "; FromFunction makes one of a function")
         self.target = target
@@ -95,7 +96,7 @@ class Multiplexed(eqx.Module):
             len(shapes) == 1,
             f"Multiplexed: the target's points and the techniques' samples must have one shape, not {sorted(shapes)}",
         )
-        if is_concrete(self.target, self.family, self.weights):
+        if probes and is_concrete(self.target, self.family, self.weights):
             _probe(self, probes)
 
     @property
@@ -137,9 +138,7 @@ class Multiplexed(eqx.Module):
         """The state with its `eval` filled in; as it is where that has been done."""
         if state.eval is not None:
             return state
-        x, v, log_det = self.forward(state.index, state.u)
-        log_p = self.family.log_probs(x)
-        log_f = self.target.log_f(x)
+        x, v, log_det, log_f, log_p = self.family.look(self.target, state.index, state.u)
         return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, self.log_c(state.index, x, log_f, log_p)))
 
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
@@ -152,9 +151,10 @@ class Multiplexed(eqx.Module):
         Where the target is NaN it is +inf: no law is defined, and to reject silently would make one up. A chain that
         comes there stays, so that whoever looks at its state when it is done finds it; the runner does.
         """
-        ratio = pick(self.log_weights(x, log_p), index) - pick(log_p, index)
-        # -inf - -inf: a sample where its own technique's density is zero to the last bit stands for nothing.
-        log_c = jnp.where(jnp.isnan(ratio), -jnp.inf, ratio) + log_f
+        own = pick(log_p, index)
+        ratio = pick(self.log_weights(x, log_p), index) - own
+        # A sample where its own technique's density is zero to the last bit stands for nothing, whatever its weight.
+        log_c = jnp.where(jnp.isnan(ratio) | jnp.isneginf(own), -jnp.inf, ratio) + log_f
         return jnp.where(jnp.isnan(log_f), jnp.inf, log_c)
 
     def joint_masses(self, edges: np.ndarray) -> np.ndarray:

@@ -15,13 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.flatland.evaluation import evaluate, reads
 from mcmc1d.flatland.geometry import Vector, Walls
 from mcmc1d.flatland.paths import EXAMPLES as LIT
-from mcmc1d.flatland.paths import Geometry, Paths, lamps
+from mcmc1d.flatland.paths import Geometry, Light, Paths, lamps
 from mcmc1d.flatland.scattering import Local, lambert_direction, lambert_number, local, scatter, unscatter
 from mcmc1d.numerics import below_one, between, cast, choose, pick, require
 from mcmc1d.techniques import Family, Technique
 from mcmc1d.techniques.base import Forward, Inverse
+from mcmc1d.techniques.family import apart
 from mcmc1d.types import Array, Corners, Float, Index, Scalar
 
 
@@ -98,6 +100,16 @@ class Bidirectional(Family):
         g = self.paths.geometry(x)
         eye, light = self.paths.log_eye(g), self.paths.log_lamp(g)
         return tuple(_log_density(t, g, eye, light) for t in self.lengths)
+
+    def look(
+        self, target: Any, index: Index, u: Float[Array, " m"]
+    ) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
+        """Of the light of the same space of paths all at once, each edge of the path met once; see `evaluation`."""
+        if not isinstance(target, Light):
+            return apart(self, target, index, u)
+        (paths, lit), u = _of_one_kind((self.paths, target.paths), u)
+        found = evaluate(paths, lit, self.lengths, index, u)
+        return found.x, found.v, -pick(found.log_p, index), found.log_f, found.log_p
 
     def probes(self, domain: Corners, count: int) -> np.ndarray:
         """Paths that the techniques make themselves: of a grid of the box, next to none would be one."""
@@ -232,15 +244,6 @@ def _advance(walls: Walls, step: _Step, pair: Float[Array, " 2"]) -> tuple[_Step
 # --- joining --------------------------------------------------------------------------------------------------------
 
 
-def _reads(vertices: int, places: int) -> tuple[int, int]:
-    """How many numbers a walk of so many vertices reads of u, and how many it keeps of them in v."""
-    if vertices + places <= 1:
-        return 0, 0
-    if vertices + places == 2:
-        return 1, 0
-    return places + 2 * vertices - 3, vertices - 2
-
-
 def _dim_u(paths: Paths) -> int:
     return 2 * paths.edges - 1 + paths.sensor.places
 
@@ -255,14 +258,14 @@ def _join(paths: Paths, t: int, eye: Walk, light: Walk, u: Float[Array, " m"]) -
             log_p = log_p + walk.log_last[count - 1]
     if s > 0:
         x[-1] = x[-1][::-1]
-    (eye_u, eye_v), (light_u, light_v) = _reads(t, places), _reads(s, 1)
+    (eye_u, eye_v), (light_u, light_v) = reads(t, places), reads(s, 1)
     v = [eye.v[:eye_v], u[eye_u : len(u) - light_u], light.v[:light_v][::-1]]
     return jnp.concatenate(x), jnp.concatenate(v), -log_p
 
 
 def _disjoin(paths: Paths, t: int, eye: Array, light: Array, v: Float[Array, " k"]) -> Float[Array, " m"]:
     s, places = paths.edges + 1 - t, paths.sensor.places
-    (eye_u, eye_v), (light_u, light_v) = _reads(t, places), _reads(s, 1)
+    (eye_u, eye_v), (light_u, light_v) = reads(t, places), reads(s, 1)
     return jnp.concatenate([eye[:eye_u], v[eye_v : len(v) - light_v], light[:light_u][::-1]])
 
 

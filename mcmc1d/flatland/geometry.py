@@ -1,6 +1,7 @@
 """Rays, walls and what they hit, for one ray; callers `vmap`."""
 
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -10,6 +11,11 @@ import numpy as np
 from mcmc1d.flatland.scene import Pinhole, Scene
 from mcmc1d.numerics import entry, limit, locate
 from mcmc1d.types import Array, Bool, Float, Index, Int, Real, Scalar
+
+T = TypeVar("T")
+
+_WRITTEN_OUT = 32
+"""Up to so many segments a ray is held against each in one expression, which fuses and vectorises over paths."""
 
 Numbers: TypeAlias = Float[Real, "..."]
 """A real number, or an array of them over the vertices of a path or the segments of a scene."""
@@ -62,6 +68,18 @@ class Hit(NamedTuple):
     segment: Index
     along: Scalar
     """The distance of the point from the segment's start."""
+
+
+class _Crossing(NamedTuple):
+    """Where a line meets that of a segment: both numbers are quotients by |across|, which is not divided by."""
+
+    across: Scalar
+    distance: Scalar
+    """In lengths of the direction."""
+    along: Scalar
+    """From the segment's start."""
+    length: Scalar
+    """Of the segment."""
 
 
 class Walls(eqx.Module):
@@ -154,12 +172,20 @@ class Walls(eqx.Module):
         The length of `direction` does not matter. A segment is met a few roundings beyond its ends too: two that touch
         let nothing through.
         """
-        distance, along, other = self._all(*jax.lax.stop_gradient((origin, direction)), leaving)
+        origin, direction = jax.lax.stop_gradient((origin, direction))
         tolerance = 16 * jnp.finfo(self.dtype).eps * (self.length[-1] + self.length[-2])
-        met = other & (distance > 0) & (along >= -tolerance) & (along <= self.length + tolerance)
-        distance = jnp.where(met, distance, jnp.inf)
-        closest = jnp.min(distance)
-        segment = jnp.min(jnp.where(distance == closest, jnp.arange(self.count, dtype=jnp.int32), self.count - 1))
+
+        def nearer(best: tuple[Scalar, Index], j: Index, crossing: _Crossing) -> tuple[Scalar, Index]:
+            size = jnp.abs(crossing.across)
+            inside = (crossing.along >= -tolerance * size) & (crossing.along <= (crossing.length + tolerance) * size)
+            met = inside & (crossing.distance > 0) & (size > 0) & (j != leaving)
+            # One quotient a segment: what decides whether it is met needs none.
+            distance = crossing.distance / jnp.where(size > 0, size, 1)
+            first = met & (distance < best[0])
+            return jnp.where(first, distance, best[0]), jnp.where(first, j, best[1])
+
+        nothing = jnp.full_like(origin.x, jnp.inf), jnp.full(jnp.shape(origin.x), self.count - 1, jnp.int32)
+        segment = self._over_segments(origin, direction, nearer, nothing)[1]
         return Hit(segment, self._along(origin, direction, segment))
 
     def blocked(self, origin: Vector, end: Vector, leaving: Index, arriving: Index) -> Bool[Array, ""]:
@@ -167,19 +193,34 @@ class Walls(eqx.Module):
 
         Without a tolerance: what only touches the line of sight does not block it, and neither do the segments' ends.
         """
-        distance, along, other = self._all(origin, end - origin, leaving)
-        other = other & (jnp.arange(self.count) != arriving)
-        return jnp.any(other & (distance > 0) & (distance < 1) & (along > 0) & (along < self.length))
+        origin, end = jax.lax.stop_gradient((origin, end))
 
-    def _all(self, origin: Vector, direction: Vector, leaving: Index) -> tuple[Array, Array, Array]:
-        """Where a line meets that of each segment, in lengths of `direction` and from the segment's start."""
-        start, tangent = jnp.asarray(self.start), jnp.asarray(self.tangent)
-        tangents = Vector(tangent[:, 0], tangent[:, 1])
-        to_start = Vector(start[:, 0] - origin.x, start[:, 1] - origin.y)
-        across = direction.cross(tangents)
-        safe = jnp.where(across == 0, 1, across)
-        other = (across != 0) & (jnp.arange(self.count) != leaving)
-        return to_start.cross(tangents) / safe, to_start.cross(direction) / safe, other
+        def stands(before: Bool[Array, ""], j: Index, crossing: _Crossing) -> Bool[Array, ""]:
+            size = jnp.abs(crossing.across)
+            within = (crossing.distance > 0) & (crossing.distance < size)
+            within = within & (crossing.along > 0) & (crossing.along < crossing.length * size)
+            return before | (within & (j != leaving) & (j != arriving))
+
+        return self._over_segments(origin, end - origin, stands, jnp.zeros(jnp.shape(origin.x), bool))
+
+    def _over_segments(self, origin: Vector, direction: Vector, take: Callable, first: T) -> T:
+        """`take(carry, j, crossing)` over all segments: written out for a few, which fuses; in a loop for many."""
+        start, tangent, length = jnp.asarray(self.start), jnp.asarray(self.tangent), jnp.asarray(self.length)
+
+        def one(carry: T, j: Any) -> T:
+            tangents = Vector(tangent[j, 0], tangent[j, 1])
+            to_start = Vector(start[j, 0], start[j, 1]) - origin
+            across = direction.cross(tangents)
+            sign = jnp.where(across < 0, -1, 1).astype(across.dtype)
+            crossing = _Crossing(across, to_start.cross(tangents) * sign, to_start.cross(direction) * sign, length[j])
+            return take(carry, j, crossing)
+
+        if self.count <= _WRITTEN_OUT:
+            carry = first
+            for j in range(self.count):
+                carry = one(carry, j)
+            return carry
+        return jax.lax.fori_loop(0, self.count, lambda j, carry: one(carry, j), first, unroll=4)
 
     def _along(self, origin: Vector, direction: Vector, segment: Index) -> Scalar:
         """The same for one segment, within its ends: here derivatives are taken."""

@@ -73,10 +73,14 @@ class Paths(eqx.Module):
 
     def film(self, x: Float[Array, " d"]) -> Scalar:
         """The film coordinate in [0, 1) at which a path arrives."""
-        points, segments, *_ = self._points(x)
-        way = Vector(points.x[1] - points.x[0], points.y[1] - points.y[0])
+        if self.walls.mirrors or self.sensor.places:
+            points, segments, *_ = self._points(x)
+            segment, way = segments[0], Vector(points.x[1] - points.x[0], points.y[1] - points.y[0])
+        else:  # the second vertex is where it says, wherever the others are
+            point, segment = self.sensor.point(self.walls, x[0])
+            way = self.walls.point(*self.walls.place(x[0])) - point
         direction = way * (1 / jnp.maximum(way.length(), _shortest(x.dtype)))
-        return self.sensor.film(self.walls, x[0], local(self.sensor.frame(self.walls, segments[0]), direction))
+        return self.sensor.film(self.walls, x[0], local(self.sensor.frame(self.walls, segment), direction))
 
     def pixel(self, x: Float[Array, " d"]) -> Int[Array, ""]:
         """The pixel at which a path arrives."""

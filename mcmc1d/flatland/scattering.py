@@ -62,9 +62,13 @@ def scatter(walls: Walls, segment: Index, coming: Local, u_lobe: Scalar, u_direc
 
     A black wall has a Lambert lobe that returns nothing.
     """
+    diffuse = lambert_direction(u_direction)
+    if not walls.exponents and not walls.mirrors:  # a mixture of one: u_lobe is forgotten as it is
+        out, place = Local(diffuse.along, _side(coming) * diffuse.up), below_one(u_lobe)
+        log_p = jnp.log(jnp.maximum(diffuse.up / 2, jnp.finfo(place.dtype).tiny))
+        return Turn(out, jnp.zeros(jnp.shape(place), bool), place, log_p)
     prior = _prior(walls, segment)
     lobe, place = choose(prior, u_lobe)
-    diffuse = lambert_direction(u_direction)
     options = [Local(diffuse.along, _side(coming) * diffuse.up)]
     options += [_about_mirror(coming, *_glossy_quantile(walls, segment, u_direction))] if walls.exponents else []
     options += [reflection(coming)]
@@ -93,6 +97,15 @@ def log_density(walls: Walls, segment: Index, coming: Local, out: Local, mirror:
     """Log of the density of `out` with respect to d theta, the mirror left out; of a mirror, log of its probability."""
     prior = _prior(walls, segment)
     return jnp.where(mirror, _log_mirror(prior), _nonspecular(walls, segment, prior, coming, out)[0])
+
+
+def density(walls: Walls, segment: Index, coming: Local, out: Local, mirror: Bool[Array, ""]) -> Scalar:
+    """The same density, or probability, itself."""
+    if not walls.exponents and not walls.mirrors:
+        return jnp.maximum(_side(coming) * out.up, 0) / 2
+    prior = _prior(walls, segment)
+    total = sum(_joint(walls, segment, prior, coming, out))
+    return jnp.where(mirror, prior[-1] - prior[-2], total)
 
 
 def brdf(walls: Walls, segment: Index, coming: Local, out: Local) -> Scalar:
@@ -130,9 +143,7 @@ def _nonspecular(
     walls: Walls, segment: Index, prior: list[Scalar], coming: Local, out: Local
 ) -> tuple[Scalar, list[Scalar]]:
     """Log of the density of Lambert and glossy together, and their intervals in the posterior."""
-    joint = [prior[1] * jnp.maximum(_side(coming) * out.up, 0) / 2]
-    if walls.exponents:
-        joint.append((prior[2] - prior[1]) * _glossy_density(walls, segment, _from_mirror(coming, out)[1]))
+    joint = _joint(walls, segment, prior, coming, out)
     total = sum(joint[1:], joint[0])
     possible = total > 0
     # Where the density is zero, as at grazing angles, the prior says which lobe it was.
@@ -140,6 +151,14 @@ def _nonspecular(
     prior_shares[0] = jnp.where(prior[-2] > 0, prior_shares[0], 1)
     shares = [jnp.where(possible, part, share) for part, share in zip(joint, prior_shares, strict=True)]
     return jnp.where(possible, jnp.log(jnp.where(possible, total, 1)), -jnp.inf), cumulative(shares)
+
+
+def _joint(walls: Walls, segment: Index, prior: list[Scalar], coming: Local, out: Local) -> list[Scalar]:
+    """The density by way of Lambert's lobe, and by way of the glossy one where the scene has any."""
+    joint = [prior[1] * jnp.maximum(_side(coming) * out.up, 0) / 2]
+    if walls.exponents:
+        joint.append((prior[2] - prior[1]) * _glossy_density(walls, segment, _from_mirror(coming, out)[1]))
+    return joint
 
 
 def _side(coming: Local) -> Scalar:

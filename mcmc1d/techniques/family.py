@@ -47,9 +47,26 @@ class Family(eqx.Module):
     def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
         """The log-density of x with respect to dx of every member."""
 
+    def look(
+        self, target: Any, index: Index, u: Float[Array, " m"]
+    ) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
+        """(x, v, log|d(x, v)/du|, log f(x), log p(x) of every member): all that a state's evaluation asks for.
+
+        A family that knows the target's kind may find them together; they are held to those found apart.
+        """
+        return apart(self, target, index, u)
+
     def probes(self, domain: Corners, count: int) -> np.ndarray:
         """Points x at which a `Multiplexed` is looked at before it is used: a grid of the target's domain."""
         return midpoints(*domain, count)
+
+
+def apart(
+    family: Family, target: Any, index: Index, u: Float[Array, " m"]
+) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
+    """What `Family.look` returns, by the family's own methods and the target's."""
+    x, v, log_det = family.forward(index, u)
+    return x, v, log_det, target.log_f(x), family.log_probs(x)
 
 
 class Several(Family):

@@ -1,0 +1,84 @@
+"""Integrators of flatland: the image of a scene, by path length and pixel, in absolute scale, with its rays counted."""
+
+from collections.abc import Sequence
+
+import jax
+
+from mcmc1d.checks import require_instance
+from mcmc1d.flatland.integrators.base import Integrator
+from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT, RJMLT
+from mcmc1d.flatland.integrators.image import Image, Layer, Sums
+from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, LightTracing, PathTracing
+from mcmc1d.flatland.scene import Scene
+from mcmc1d.numerics import require
+from mcmc1d.types import Key
+from mcmc1d.weights import Maximum, Power
+
+INTEGRATORS: dict[str, Integrator] = {
+    "pt": PathTracing(),
+    "lt": LightTracing(),
+    "bdpt": BidirectionalPathTracing(),
+    "bdpt_power": BidirectionalPathTracing(Power()),
+    "bdpt_maximum": BidirectionalPathTracing(Maximum()),
+    "pssmlt_sum": PSSMLT(),
+    "pssmlt_max": PSSMLT(combine="maximum"),
+    "mmlt": MMLT(),
+    "rjmlt": RJMLT(),
+    "rjmlt_aimed": RJMLT(aimed=True),
+}
+"""By the name that tables use."""
+
+
+def integrate(
+    key: Key,
+    integrator: Integrator | str,
+    scene: Scene,
+    *,
+    lengths: int | Sequence[int] = 6,
+    samples: int = 2**18,
+    pixels: int | None = None,
+) -> Image:
+    """Render a scene.
+
+    Arguments: `integrator`, or its name in `INTEGRATORS`; `lengths`, the numbers of edges, or the largest of them;
+    `samples`, of each length: paths, or mutations of all chains together (rounded up to what runs at once); `pixels`,
+    the scene's own unless given.
+
+    Raises `ValueError` where there is no integrator of that name, where it can not make some of the scene's light, and
+    where none of its paths of any length brought light to the sensor. (Of one length that is a dark image: the light
+    of the room behind the door has two edges at least.)
+    """
+    if isinstance(integrator, str):
+        require(integrator in INTEGRATORS, f"there is no integrator {integrator!r}; known: {', '.join(INTEGRATORS)}")
+        integrator = INTEGRATORS[integrator]
+    require_instance(integrator, Integrator, "integrate: the integrator")
+    require_instance(scene, Scene, "integrate: the scene")
+    each = range(1, lengths + 1) if isinstance(lengths, int) else tuple(lengths)
+    require(len(each) > 0 and min(each) >= 1, f"integrate: lengths are numbers of edges, 1 at least, not {lengths}")
+    require(samples >= 2, f"integrate: samples must be 2 at least, not {samples}")
+    scene = scene if pixels is None else scene.with_pixels(pixels)
+    for k in each:
+        integrator.check(scene, k)
+    image = Image([integrator.render(jax.random.fold_in(key, k), scene, k, samples) for k in each])
+    require(
+        bool(image.total.sum() > 0),
+        f"integrate: scene {scene.name}: no path of {', '.join(map(str, each))} edges brought light to the sensor, in "
+        f"{image.rays:.2g} rays; let a lamp face what the sensor sees, allow more edges, or take more samples",
+    )
+    return image
+
+
+__all__ = [
+    "INTEGRATORS",
+    "MMLT",
+    "PSSMLT",
+    "RJMLT",
+    "BidirectionalPathTracing",
+    "Image",
+    "Integrator",
+    "Layer",
+    "LightTracing",
+    "PathTracing",
+    "Sums",
+    "integrate",
+]

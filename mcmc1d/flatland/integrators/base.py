@@ -1,0 +1,130 @@
+"""What an integrator is: a target and techniques for the paths of each length, and a way to sample them."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.flatland.bidirectional import Bidirectional
+from mcmc1d.flatland.integrators.image import Layer, Sums
+from mcmc1d.flatland.paths import Light, Paths
+from mcmc1d.flatland.scene import Pinhole, Scene, distance
+from mcmc1d.numerics import cast, jit_with
+from mcmc1d.random import uniforms
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Key
+from mcmc1d.weights import Weights
+
+_LANES = 2**12
+_STEPS = 2**9
+
+
+class Integrator(eqx.Module):
+    """Renders the light of one path length at a time, in absolute scale.
+
+    Rays are counted as a renderer traces them: one for each edge that is walked or looked along, so k for a path of k
+    edges by whatever technique, none for a reversible jump, which keeps its path, and where one u makes a path by
+    every technique, one for each step of both walks and one for each joint. A walk that comes upon a black wall is
+    counted to its end. Those for b are counted; chains start exactly, and what that takes, which a renderer spares
+    itself by choosing its starts among the samples for b, is not.
+    """
+
+    def check(self, scene: Scene, edges: int) -> None:
+        """Raise `ValueError` where the integrator can not render the scene's light of that length."""
+
+    @abc.abstractmethod
+    def target(self, paths: Paths) -> Multiplexed:
+        """What is sampled: paths of one length, seen through techniques."""
+
+    @abc.abstractmethod
+    def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
+        """The light of `edges` edges by about so many samples: paths, or mutations of chains."""
+
+
+def multiplexed(paths: Paths, lengths: tuple[int, ...] | None, weights: Weights | None) -> Multiplexed:
+    """Light by the techniques of bidirectional path tracing with t in `lengths`: all of them where it is None."""
+    return Multiplexed(Light(paths), Bidirectional(paths, lengths), weights, probes=0)
+
+
+def brightest(scene: Scene, edges: int) -> float:
+    """What f / p of path tracing without next event estimation never exceeds, and so f / (the sum of all p_i).
+
+    The lobes are sampled in proportion to what they send on at most, so a bounce multiplies by the reflectance or less.
+    """
+    emission = max(segment.material.emission for segment in scene.segments)
+    reflectance = max(segment.material.reflectance for segment in scene.segments)
+    response = 1.0 if isinstance(scene.sensor, Pinhole) else 2.0
+    return response * emission * reflectance ** (edges - 1)
+
+
+def brightest_from_lamps(scene: Scene, edges: int) -> float:
+    """The same of light tracing: of paths that hit a wall sensor, or are joined to a pinhole, whose distance counts."""
+    emission = max(segment.material.emission for segment in scene.segments)
+    lamps = sum(segment.length for segment in scene.segments if segment.material.emission > 0)
+    reflectance = max(segment.material.reflectance for segment in scene.segments)
+    sensor = scene.sensor
+    if not isinstance(sensor, Pinhole):
+        k = scene.sensor_segment
+        assert k is not None
+        return 2 * emission * lamps * reflectance ** (edges - 1) / scene.segments[k].length
+    near = min(distance(np.asarray(sensor.position, np.float64), pair) for pair in scene.ends)
+    response = 1 / (2 * np.tan(sensor.half_angle) * np.cos(sensor.half_angle) ** 2) / near
+    if edges == 1:
+        return emission * lamps * response
+    # At the joint nothing is sampled: f_r times the cosine is at most a half of Lambert's rho, and rho / I_n of a lobe.
+    steepest = max((s.material.exponent for s in scene.segments if s.material.glossy > 0), default=0)
+    peak = max(0.5, np.sqrt((steepest + 1) / (2 * np.pi))) if steepest else 0.5
+    return 2 * emission * lamps * reflectance ** (edges - 1) * peak * response
+
+
+def exposed(key: Key, target: Multiplexed, paths: Paths, samples: int, bound: float) -> Sums:
+    """Independent samples of `target`'s states: what each puts into each pixel, C_i(u) times the techniques."""
+    return _sums(key, target, paths, samples, bound)
+
+
+def bootstrap(key: Key, target: Multiplexed, samples: int, bound: float) -> Sums:
+    """The same without a film: the integral of whatever `target` is, `Pooled` included."""
+    return _sums(key, target, None, samples, bound)
+
+
+def _sums(key: Key, target: Multiplexed, paths: Paths | None, samples: int, bound: float) -> Sums:
+    pixels = 1 if paths is None else paths.sensor.pixels
+    steps = max(1, -(-samples // _LANES))
+    total, squares = np.zeros(pixels), np.zeros(pixels)
+    for first in range(0, steps, _STEPS):
+        count = min(_STEPS, steps - first)
+        lanes = _sampled(key, target, paths, jnp.asarray(first), jnp.asarray(count))
+        total, squares = (
+            old + np.asarray(new, np.float64).sum(-1) for old, new in zip((total, squares), lanes, strict=True)
+        )
+    if paths is None:
+        total, squares = total[0], squares[0]
+    if not np.all(np.isfinite(squares)):
+        raise ValueError("the light of a path is NaN or infinite; look at the scene for a lamp of infinite emission")
+    return Sums(steps * _LANES, total, squares, bound)
+
+
+@jit_with(xla_cpu_prefer_vector_width=512)
+def _sampled(key: Key, target: Multiplexed, paths: Paths | None, first: Array, count: Array) -> tuple[Array, Array]:
+    """Of each lane and pixel the sum over `count` samples, and that of their squares: two of shape (pixels, lanes)."""
+    dtype = jnp.zeros(()).dtype
+    target, paths = cast((target, paths), dtype)
+    pixels = 1 if paths is None else paths.sensor.pixels
+
+    def body(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        numbers = uniforms(key, first + k, (target.dim_u + 1, _LANES), dtype)
+        index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
+        seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:])).seen
+        value = (target.n_techniques * jnp.exp(seen.log_c))[None]
+        if paths is not None:
+            pixel = jax.vmap(paths.pixel, in_axes=-1)(seen.x)
+            value = jnp.where(pixel[None] == jnp.arange(pixels)[:, None], value, 0)
+        return sums[0] + value, sums[1] + value * value
+
+    zero = jnp.zeros((pixels, _LANES), dtype)
+    return jax.lax.fori_loop(0, count, body, (zero, zero))
+
+
+__all__ = ["Integrator", "bootstrap", "brightest", "brightest_from_lamps", "exposed", "multiplexed"]

@@ -1,0 +1,103 @@
+"""What an integrator makes: for each path length, sums over independent numbers, and the image that they estimate."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Sums(NamedTuple):
+    """Sums over independent random numbers, each in [0, bound]: of the samples of a pixel, or of a chain's deposits."""
+
+    size: int
+    total: np.ndarray
+    squares: np.ndarray
+    bound: float
+    """What none of the numbers exceeds, in theory: with it, a deviation of the mean has an honest probability."""
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Their mean."""
+        return self.total / self.size
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Of one of them, unbiased."""
+        return np.maximum(self.squares - self.total**2 / self.size, 0) / (self.size - 1)
+
+    @property
+    def error(self) -> np.ndarray:
+        """The standard error of the mean."""
+        return np.sqrt(self.variance / self.size)
+
+
+class Layer(NamedTuple):
+    """The light of paths of one length: scale times the mean deposit times the mean of what normalises it."""
+
+    edges: int
+    scale: float
+    deposits: Sums
+    """Of each pixel, (pixels,)."""
+    normaliser: Sums | None
+    """Of b, the integral of what a chain samples, from independent samples; None where nothing is normalised."""
+    rays: float
+    """Rays traced, those for b included; see `Integrator`."""
+
+    @property
+    def value(self) -> np.ndarray:
+        """The image of this length, (pixels,)."""
+        b = 1.0 if self.normaliser is None else self.normaliser.mean
+        return self.scale * b * self.deposits.mean
+
+    @property
+    def error(self) -> np.ndarray:
+        """Its standard error, (pixels,): that of b included, which is the same in every pixel."""
+        if self.normaliser is None:
+            return self.scale * self.deposits.error
+        b, mean = self.normaliser, self.deposits.mean
+        return self.scale * np.hypot(b.mean * self.deposits.error, mean * b.error)
+
+
+class Image:
+    """An image in absolute scale, by path length: mean radiance of a pinhole's pixels, irradiance of a wall's."""
+
+    def __init__(self, layers: Sequence[Layer]):
+        """`layers`: one for each length."""
+        self.layers = tuple(layers)
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        """The numbers of edges."""
+        return tuple(layer.edges for layer in self.layers)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Of each length, (lengths, pixels)."""
+        return np.stack([layer.value for layer in self.layers])
+
+    @property
+    def errors(self) -> np.ndarray:
+        """The standard errors of `values`."""
+        return np.stack([layer.error for layer in self.layers])
+
+    @property
+    def total(self) -> np.ndarray:
+        """Of all lengths together, (pixels,)."""
+        return self.values.sum(0)
+
+    @property
+    def total_error(self) -> np.ndarray:
+        """The standard error of `total`: the lengths are independent."""
+        return np.sqrt((self.errors**2).sum(0))
+
+    @property
+    def rays(self) -> float:
+        """Of all lengths."""
+        return sum(layer.rays for layer in self.layers)
+
+    def __repr__(self) -> str:
+        numbers = f"total {self.total.mean():.5g} in {self.total.size} pixels, rays={self.rays:.3g}"
+        return f"Image(lengths={self.lengths}, {numbers})"
+
+
+__all__ = ["Image", "Layer", "Sums"]
