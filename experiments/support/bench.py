@@ -17,7 +17,7 @@ import mcmc1d
 from mcmc1d.moves import SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.numerics import cos_turns, sin_turns
 from mcmc1d.targets import Sinusoid
-from mcmc1d.techniques import Inversion, PiecewiseConstant, Tent, within
+from mcmc1d.techniques import Inversion, PiecewiseConstant, Tent, density_within, within
 from mcmc1d.types import Scalar
 
 CHAINS, STEPS, BINS = 8192, 4096, 100
@@ -40,6 +40,10 @@ class Smooth(Inversion):
     def log_prob(self, x: Scalar) -> Scalar:
         """The log-density."""
         return within(x, jnp.log(self._density(x)))
+
+    def prob(self, x: Scalar) -> Scalar:
+        """The density."""
+        return density_within(x, self._density(x))
 
     def _density(self, x: Scalar) -> Scalar:
         return 0.6 + 0.8 * x - 0.5 * cos_turns(x)

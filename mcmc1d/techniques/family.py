@@ -47,6 +47,10 @@ class Family(eqx.Module):
     def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
         """The log-density of x with respect to dx of every member."""
 
+    def probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...] | None:
+        """The density itself of every member (see `Technique.prob`); None unless redefined."""
+        return None
+
     def probes(self, domain: Corners, count: int) -> np.ndarray:
         """Points x at which a `Multiplexed` is looked at before it is used: a grid of the target's domain."""
         return midpoints(*domain, count)
@@ -78,3 +82,7 @@ class Several(Family):
 
     def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
         return tuple(technique.log_prob(x) for technique in self.techniques)
+
+    def probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...] | None:
+        found = [p for technique in self.techniques if (p := technique.prob(x)) is not None]
+        return tuple(found) if len(found) == len(self.techniques) else None
