@@ -226,11 +226,19 @@ def cos_turns(turns: Scalar) -> Scalar:
 
 def _sin_turns_float32(r: Scalar) -> Scalar:
     z = r * r
-    return r * (jnp.float32(0.25) - z) * _polynomial(_SIN_TURNS, z)
+    return r * (jnp.float32(0.25) - z) * _horner(_SIN_TURNS, z)
 
 
-def _polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
-    """In float32, from the constant term upwards, by Estrin's scheme: halves that do not wait for each other."""
+def _horner(coefficients: Sequence[float], x: Scalar) -> Scalar:
+    """A polynomial in float32, from the constant term upwards: the smallest error."""
+    p = jnp.float32(coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        p = p * x + jnp.float32(coefficient)
+    return p
+
+
+def _estrin(coefficients: Sequence[float], x: Scalar) -> Scalar:
+    """The same by Estrin's scheme: halves that do not wait for each other, which is faster where there are many."""
     terms: list[Any] = [jnp.float32(coefficient) for coefficient in coefficients]
     while len(terms) > 1:
         paired = [a + x * b for a, b in zip(terms[::2], terms[1::2], strict=False)]
@@ -238,21 +246,23 @@ def _polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
     return terms[0]
 
 
-# Phi^-1(w) / (2 w - 1) as a function of t = -log(4 w (1 - w)), a polynomial in (7.5 - 1.9868422 t) / (t + 7.5), which
-# takes 0 <= t <= 15.2 to [-1, 1]: a least-maximum fit by Lawson's iteration, largest relative error 1.5e-7 before
-# rounding. (Giles 2010, "Approximating the erfinv function", takes t in two pieces, which costs selections.)
+# Phi^-1(w) / (2 w - 1) as a function of t = -log(4 w (1 - w)), a polynomial in (9 - 2.2 t) / (t + 9), which takes
+# 0 <= t <= 15 to [-1, 1]: a least-maximum fit by Lawson's iteration, largest relative error 6.3e-8 before rounding to
+# float32 and 3.2e-7 after. (Giles 2010, "Approximating the erfinv function", takes t in two pieces, which costs
+# selections.)
 _NORMAL_QUANTILE = (
-    2.55548129,
-    -1.85841617,
-    0.614490767,
-    -0.0654536006,
-    0.0692714554,
-    -0.100249365,
-    0.0313794315,
-    0.0162466013,
-    -0.00505013635,
-    -0.00832049279,
-    0.0039342267,
+    2.65798428,
+    -1.91055024,
+    0.504359588,
+    -0.015539555,
+    0.0862144766,
+    -0.0845795577,
+    -0.00349478352,
+    0.0210241914,
+    0.00621471829,
+    -0.00955967669,
+    -0.000135581866,
+    0.00137620504,
 )
 
 
@@ -265,7 +275,7 @@ def normal_quantile(w: Scalar) -> Scalar:
     if w.dtype != jnp.float32:
         return ndtri(w)
     t = -jnp.log(4 * w * (1 - w))
-    p = _polynomial(_NORMAL_QUANTILE, (7.5 - 1.9868422 * t) / (t + 7.5))
+    p = _estrin(_NORMAL_QUANTILE, (9 - 2.2 * t) / (t + 9))
     return jnp.where(t < jnp.inf, p, jnp.inf) * (2 * w - 1)
 
 

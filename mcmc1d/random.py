@@ -102,17 +102,22 @@ class Hash32(Source):
     rounds: int = eqx.field(static=True, default=3)
 
     def words(self, key: UInt32[Array, " 2"], step: UInt32[Array, ""], count: int) -> UInt32[Array, " count"]:
+        # In two halves, although one range would do: what is joined XLA works out once, into memory; anything else so
+        # cheap it works out again in each of the loops that read it, at two to three times the cost.
+        return jnp.concatenate(self.pairs(key, step, -(-count // 2)))[:count]
+
+    def pairs(self, key: UInt32[Array, " 2"], step: UInt32[Array, ""], count: int) -> tuple[Array, Array]:
         multiplier, offset = threefry(key, step, jnp.uint32(0xFFFFFFFF))
-        x = jnp.arange(count, dtype=jnp.uint32) * (multiplier | 1) + offset
+        position = jnp.arange(count, dtype=jnp.uint32)
+        first, second = (self._mix(i * (multiplier | 1) + offset) for i in (position, position + jnp.uint32(count)))
+        return first, second
+
+    def _mix(self, x: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
         x = x ^ (x >> 17)
         for factor, shift in ((0xED5AD4BB, 11), (0xAC4C1B51, 15), (0x31848BAB, 14))[: self.rounds]:
             x = x * jnp.uint32(factor)
             x = x ^ (x >> shift)
         return x
-
-    def pairs(self, key: UInt32[Array, " 2"], step: UInt32[Array, ""], count: int) -> tuple[Array, Array]:
-        words = self.words(key, step, 2 * count)
-        return words[:count], words[count:]
 
 
 SOURCES: dict[str, Source] = {"threefry": Threefry(), "threefry13": Threefry(13), "hash32": Hash32()}

@@ -15,7 +15,7 @@ import numpy as np
 
 import mcmc1d
 from mcmc1d.moves import SmallStep, StepAndChange, TechniqueChange
-from mcmc1d.numerics import cos_turns, sin_turns
+from mcmc1d.numerics import cos_turns, limit, sin_turns
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Inversion, PiecewiseConstant, Tent, density_within, within
 from mcmc1d.types import Scalar
@@ -30,7 +30,7 @@ class Smooth(Inversion):
         """Right to float32, from a square root that is near."""
         x = 0.94076407 * jnp.sqrt(u + 1e-4) - 0.0493469
         for _ in range(3):
-            x = jnp.clip(x - (self.cdf(x) - u) / self._density(x), 0, 1)
+            x = limit(x - (self.cdf(x) - u) / self._density(x), 0, 1)
         return x
 
     def cdf(self, x: Scalar) -> Scalar:
