@@ -110,8 +110,23 @@ def pick(options: Sequence[T], index: Index) -> T:
     """
     chosen = options[0]
     for k, option in enumerate(options[1:], start=1):
-        chosen = jax.tree.map(lambda a, b, k=k: jnp.where(index == k, b, a), chosen, option)
+        chosen = select(index == k, option, chosen)
     return chosen
+
+
+def select(condition: Any, a: T, b: T) -> T:
+    """`a` where the condition, of one event, holds, and `b` elsewhere: two pytrees of one structure.
+
+    Short vectors go coordinate by coordinate: over many chains a vector that was joined from parts is joined in memory,
+    or by a branch for each element; coordinates that are put together and taken apart again cost nothing.
+    """
+
+    def one(x: Any, y: Any) -> Array:
+        if jnp.ndim(x) != 1 or jnp.ndim(condition) != 0 or not 0 < jnp.shape(x)[0] <= _FEW:
+            return jnp.where(condition, x, y)
+        return jnp.stack([jnp.where(condition, x[k], y[k]) for k in range(jnp.shape(x)[0])])
+
+    return jax.tree.map(one, a, b)
 
 
 def entry(table: Sequence[Scalar] | Float[Real, " n"], index: Index) -> Scalar:
