@@ -190,4 +190,3 @@ def accept(
     )
     info = Info(jnp.atleast_1d(jnp.asarray(proposal.kind)), a[None], accepted[None])
     return Step(after, deposits, info)
-
