@@ -1,7 +1,5 @@
 """Mixtures of techniques, inverted through the posterior of the lobe."""
 
-import functools
-import operator
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -90,12 +88,13 @@ class Mixture(Technique):
         return jnp.concatenate([choice[None], u]), beyond + log_p
 
     def log_prob(self, x: Float[Array, "..."]) -> Scalar:
-        joint = self._joint(x)
-        return log_sum(self._log_joint(x)) if joint is None else _log(functools.reduce(operator.add, joint))
+        return log_sum(self._log_joint(x))
 
     def prob(self, x: Float[Array, "..."]) -> Scalar | None:
-        joint = self._joint(x)
-        return None if joint is None else functools.reduce(operator.add, joint)
+        found = [lobe.prob(x) for lobe in self.lobes]
+        if any(p is None for p in found):
+            return None
+        return sum(self.weights[t] * p for t, p in enumerate(found))
 
     def _prior(self) -> list[Scalar]:
         return cumulative([jnp.asarray(self.weights[t]) for t in range(len(self.lobes))])
@@ -103,28 +102,16 @@ class Mixture(Technique):
     def _log_joint(self, x: Float[Array, "..."]) -> list[Scalar]:
         return [jnp.log(self.weights[t]) + lobe.log_prob(x) for t, lobe in enumerate(self.lobes)]
 
-    def _joint(self, x: Float[Array, "..."]) -> list[Scalar] | None:
-        """alpha_t p_t(x), if every lobe has its density at hand."""
-        found = [lobe.prob(x) for lobe in self.lobes]
-        return None if any(p is None for p in found) else [self.weights[t] * p for t, p in enumerate(found)]
-
     def _posterior(self, x: Float[Array, "..."]) -> tuple[Scalar, list[Scalar]]:
         """Log p(x), and the ends of the lobes' intervals in the posterior; the prior's where the density is zero."""
-        joint = self._joint(x)
-        if joint is None:
-            log_joint = self._log_joint(x)
-            log_p = log_sum(log_joint)
-            joint = [jnp.exp(term - log_p) for term in log_joint]
-        else:
-            log_p = _log(functools.reduce(operator.add, joint))
+        log_joint = self._log_joint(x)
+        log_p = log_sum(log_joint)
         possible = jnp.isfinite(log_p)
-        shares = [jnp.where(possible, share, alpha) for share, alpha in zip(joint, self.weights, strict=True)]
+        shares = [
+            jnp.where(possible, jnp.exp(term - log_p), alpha)
+            for term, alpha in zip(log_joint, self.weights, strict=True)
+        ]
         return log_p, cumulative(shares)
-
-
-def _log(p: Scalar) -> Scalar:
-    """The logarithm, -inf at 0, where its derivative is 0 (see `numerics.still`)."""
-    return jnp.where(p > 0, jnp.log(jnp.where(p > 0, p, 1)), -jnp.inf)
 
 
 def _finite_or(value: Scalar, otherwise: float) -> Scalar:
