@@ -49,7 +49,7 @@ def pinned() -> Iterator[bool]:
 
 
 def alternate(stage: str, contestants: Mapping[str, Go], rounds: int, show: Show) -> dict[str, list[float]]:
-    """Steps a second of every contestant in every round; a round is one turn of each, so that a slow spell is shared."""
+    """Steps a second of everyone in every round; a round is one turn of each, so that a slow spell is shared."""
     found: dict[str, list[float]] = {name: [] for name in contestants}
     total = rounds * len(contestants)
     for seed in range(1, rounds + 1):
@@ -122,9 +122,7 @@ def headline(data: xr.Dataset) -> dict[str, float]:
 
 def table(data: xr.Dataset) -> Table:
     """Ratios first, then each contestant."""
-    result = Table(
-        "what", "value", box=SIMPLE, padding=0, title="bench: medians of alternating rounds, one pinned core"
-    )
+    result = Table("what", "value", box=SIMPLE, padding=0, title="bench: medians of alternating rounds")
     for name, value in headline(data).items():
         result.add_row(name, "-" if np.isnan(value) else f"{value:.3g}")
     for dim in ("step", "walk"):
