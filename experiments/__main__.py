@@ -142,20 +142,28 @@ def claims(
 
 @app.command()
 def bench(
-    rounds: Annotated[int, typer.Option(help="Alternating rounds; medians are printed.")] = 7,
-    json_: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    profile: Annotated[str, typer.Option(help="quick (two minutes) or paper.")] = "quick",
+    seed: Annotated[int, typer.Option(help="Kept with the results.")] = 0,
+    out: Out = Path("figures"),
+    set_: Annotated[list[str] | None, typer.Option("--set", help="Override a field: name=value, repeatable.")] = None,
+    json_: Annotated[bool, typer.Option("--json", help="The ratios as JSON.")] = False,
 ) -> None:
-    """Time the 1D multiplexed step on one pinned core against a hand-written C loop, in one run."""
-    from experiments.support.bench import measure
+    """Time this library against others in one run, pinned to one core; write bench.png, .pdf, .nc and .json."""
+    from experiments.support import bench as measured
 
-    result = measure(rounds)
+    config = framework.configure(measured, profile, set_ or [])
+    framework.require_writable(out)
+    framework.style()
+    with bars(errors) as show:
+        data = measured.run(config, seed, show)
+    ratios = measured.headline(data)
+    record = {**framework.manifest("bench", profile, config, seed, []), "ratios": ratios, "machine": measured.machine()}
+    paths = framework.write(out, "bench", data, measured.draw(data), record)
     if json_:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(ratios, indent=2))
         return
-    for name, value in result.items():
-        console.print(
-            f"{name:>28}  {value:.3g}" if isinstance(value, float) else f"{name:>28}  {value}", highlight=False
-        )
+    console.print(measured.table(data))
+    console.print(", ".join(str(path) for path in paths), highlight=False, soft_wrap=True)
 
 
 def _print_claims(found: list[framework.Claim]) -> None:

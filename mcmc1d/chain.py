@@ -17,7 +17,7 @@ from mcmc1d.estimators import Estimator
 from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, jit_with, require
-from mcmc1d.random import uniforms
+from mcmc1d.random import Source, source
 from mcmc1d.starts import Normalisation, begin, exact_start, normalisation, require_defined, require_multiplexed
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Int, Key
@@ -80,6 +80,7 @@ def run(
     estimators: Mapping[str, Estimator] | None = None,
     start: State | None = None,
     dtype: Any = None,
+    random: str = "threefry",
     progress: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     every: float = 60.0,
@@ -94,7 +95,8 @@ def run(
 
     Arguments: `kernel`, or a move that `Metropolis` then accepts; `start`, one state per chain (leading axis), drawn
     exactly from the target unless given, so that a right kernel needs no burn-in; `dtype`, JAX's default float
-    unless given; `progress`, called as the work advances.
+    unless given; `random`, the source of the steps' random numbers: "threefry" is the reference, "hash32" costs an
+    eighth of it, see `mcmc1d.random`; `progress`, called as the work advances.
 
     A run that is long is saved in the file `checkpoint`, `every` so many seconds (where a drain of the sums takes
     longer, after each), at Ctrl-C and at its end: the same call with `resume=True` goes on from there, or begins where
@@ -104,7 +106,7 @@ def run(
     Raises `ValueError` where the kernel or an estimator does not fit the target, where a chain met a NaN of it, and
     where the checkpoint is damaged, of another run (it says what differs), or open in one.
     """
-    kernel = as_kernel(kernel, "run: the kernel")
+    kernel, numbers = as_kernel(kernel, "run: the kernel"), source(random)
     require_multiplexed(target, "run")
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     require(
@@ -131,7 +133,7 @@ def run(
     fresh = [Place(0, State(index[b : b + size], u[b : b + size]), nothing) for b in range(0, chains, size)]
 
     def arguments(block: int, device: Any, place: Place, count: int) -> tuple[Any, ...]:
-        constant = jax.random.fold_in(step_key, block), kernel, target, asked
+        constant = jax.random.fold_in(step_key, block), numbers, kernel, target, asked
         return parallel.put((*constant, place.state, zeros, jnp.asarray(place.step), jnp.asarray(count)), device)
 
     def advance(block: int, device: Any, place: Place, count: int) -> Place:
@@ -142,13 +144,13 @@ def run(
 
     def identity() -> dict[str, Any]:
         """All that the bits of the result depend on; what a user's functions do shows in the program."""
-        numbers = {"steps": steps, "chains": chains, "blocks": blocks, "dtype": str(dtype)}
+        sizes = {"steps": steps, "chains": chains, "blocks": blocks, "dtype": str(dtype), "random": random}
         parts = {"key": key, "start": (index, u), "kernel": kernel, "target": target, "estimators": asked}
         compiled: Any = _advance
         program = compiled.lower(*arguments(0, None, fresh[0], 0)).as_text()
         parts["program"] = f"{per_drain} {jax.devices()[0].device_kind} {program}"
         versions = {name: version(name) for name in ("jax", "jaxlib")}
-        return numbers | versions | {name: describe(part) for name, part in parts.items()}
+        return sizes | versions | {name: describe(part) for name, part in parts.items()}
 
     saving = Saving(checkpoint, every, resume)
     places = parallel.run_blocks(advance, fresh, steps, per_drain, progress, identity, saving)
@@ -162,10 +164,17 @@ def run(
 
 
 def trace(
-    key: Key, kernel: Kernel | Move, target: Multiplexed, *, steps: int, chains: int, start: State | None = None
+    key: Key,
+    kernel: Kernel | Move,
+    target: Multiplexed,
+    *,
+    steps: int,
+    chains: int,
+    start: State | None = None,
+    random: str = "threefry",
 ) -> Trace:
     """Run chains and keep every state; for integrated autocorrelation times and pictures. Arguments as `run`."""
-    kernel = as_kernel(kernel, "trace: the kernel")
+    kernel, numbers = as_kernel(kernel, "trace: the kernel"), source(random)
     require_multiplexed(target, "trace")
     require(steps >= 1, f"trace: steps must be at least 1, not {steps}")
     require(chains >= 1, f"trace: chains must be at least 1, not {chains}")
@@ -174,7 +183,7 @@ def trace(
     start_key, step_key = jax.random.split(key)
     state = State(*begin(start_key, target, start, chains, dtype, "trace"))
     target = cast(target, dtype)
-    x, index, last, trapped = _record(step_key, cast(kernel, dtype), target, state, steps)
+    x, index, last, trapped = _record(step_key, numbers, cast(kernel, dtype), target, state, steps)
     require_defined(target, last, trapped)
     return Trace(np.asarray(x), np.asarray(index))
 
@@ -183,6 +192,7 @@ def trace(
 @jit_with(xla_cpu_prefer_vector_width=512)
 def _advance(
     key: Key,
+    numbers: Source,
     kernel: Kernel,
     target: Multiplexed,
     estimators: dict[str, Estimator],
@@ -198,7 +208,7 @@ def _advance(
 
     def body(k: Array, carry: tuple[State, Any, Any]) -> tuple[State, Any, Any]:
         state, total, lost = carry
-        steps = _step(key, kernel, target, first + k, state)
+        steps = _step(key, numbers, kernel, target, first + k, state)
         gained = {name: estimators[name].update(sums[name], steps) for name in estimators}
         # Kahan's summation: what a float32 total is too large to take in is kept for the next step.
         gained = jax.tree.map(jnp.subtract, gained, lost)
@@ -214,12 +224,12 @@ def _advance(
 
 @eqx.filter_jit
 def _record(
-    key: Key, kernel: Kernel, target: Multiplexed, start: State, steps: int
+    key: Key, numbers: Source, kernel: Kernel, target: Multiplexed, start: State, steps: int
 ) -> tuple[Array, Array, State, Bool[Array, " n"]]:
     """X and the index of every chain after every step, the last states, and which are trapped."""
 
     def body(state: State, k: Array) -> tuple[State, Any]:
-        state = _step(key, kernel, target, k, state).state
+        state = _step(key, numbers, kernel, target, k, state).state
         return state, (jnp.moveaxis(state.seen.x, -1, 0), state.index)
 
     evaluated = jax.vmap(target.evaluate, out_axes=-1)(start)
@@ -227,9 +237,9 @@ def _record(
     return x, index, State(last.index, last.u.T), jnp.isposinf(last.seen.log_c)
 
 
-def _step(key: Key, kernel: Kernel, target: Multiplexed, step: Int[Array, ""], state: State) -> Step:
+def _step(key: Key, numbers: Source, kernel: Kernel, target: Multiplexed, step: Int[Array, ""], state: State) -> Step:
     """One step of a batch of chains: one key per step, not one per chain, for numbers that are drawn all at once."""
-    w = uniforms(key, step, (kernel.dim_w(target), state.u.shape[-1]), state.u.dtype)
+    w = numbers.uniforms(key, step, (kernel.dim_w(target), state.u.shape[-1]), state.u.dtype)
     return jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
 
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance
 from mcmc1d.moves import Move, Proposal
-from mcmc1d.numerics import in_unit_cube, require
+from mcmc1d.numerics import in_unit_cube, require, select
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Scalar
 
@@ -178,9 +178,9 @@ def accept(
     proposed = target.evaluate(proposal.state)
     a = acceptance(state, Proposal(proposed, proposal.w, proposal.log_det, proposal.kind))
     # An impossible proposal may hold NaN, and 0 times NaN is NaN: from here on it is the current state.
-    proposed = _where(a > 0, proposed, state)
+    proposed = select(a > 0, proposed, state)
     accepted = uniform < a
-    after = _where(accepted, proposed, state)
+    after = select(accepted, proposed, state)
     if deposit == "expected":
         points, weight = (state, proposed), jnp.stack([1 - a, a])
     else:
@@ -190,7 +190,3 @@ def accept(
     )
     info = Info(jnp.atleast_1d(jnp.asarray(proposal.kind)), a[None], accepted[None])
     return Step(after, deposits, info)
-
-
-def _where(condition: Bool[Array, ""], a: State, b: State) -> State:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)

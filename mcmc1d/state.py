@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_instance, rising
-from mcmc1d.numerics import cast, is_concrete, pick, require
+from mcmc1d.numerics import cast, is_concrete, require
 from mcmc1d.quadrature import integrate
 from mcmc1d.targets import DensityOf, Target
 from mcmc1d.techniques import Family, Several, Technique, sample_shape
@@ -139,23 +139,29 @@ class Multiplexed(eqx.Module):
         if state.eval is not None:
             return state
         x, v, log_det, log_f, log_p = self.family.look(self.target, state.index, state.u)
-        return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, self.log_c(state.index, x, log_f, log_p)))
+        log_c = self.log_c(state.index, x, log_f, log_p, self.family.probs(x))
+        return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, log_c))
 
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
         """Log w_i(x) of every technique."""
         return self.weights.log_weights(x, log_p)
 
-    def log_c(self, index: Index, x: Float[Array, "..."], log_f: Scalar, log_p: Sequence[Scalar]) -> Scalar:
+    def log_c(
+        self,
+        index: Index,
+        x: Float[Array, "..."],
+        log_f: Scalar,
+        log_p: Sequence[Scalar],
+        p: Sequence[Scalar] | None = None,
+    ) -> Scalar:
         """Log w_i(x) f(x) / p_i(x); -inf where the target, or the technique's share of it, is zero.
+
+        `p`: the densities themselves, where they are at hand.
 
         Where the target is NaN it is +inf: no law is defined, and to reject silently would make one up. A chain that
         comes there stays, so that whoever looks at its state when it is done finds it; the runner does.
         """
-        own = pick(log_p, index)
-        ratio = pick(self.log_weights(x, log_p), index) - own
-        # A sample where its own technique's density is zero to the last bit stands for nothing, whatever its weight.
-        log_c = jnp.where(jnp.isnan(ratio) | jnp.isneginf(own), -jnp.inf, ratio) + log_f
-        return jnp.where(jnp.isnan(log_f), jnp.inf, log_c)
+        return jnp.where(jnp.isnan(log_f), jnp.inf, self.weights.log_ratio(x, log_p, index, p) + log_f)
 
     def joint_masses(self, edges: np.ndarray) -> np.ndarray:
         """The exact law of (technique, x): the integral of w_i f / b over each bin, of shape (n_techniques, bins).

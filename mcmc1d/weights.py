@@ -1,16 +1,18 @@
 """Multiple importance sampling weights: partitions of unity over the techniques (Veach and Guibas 1995)."""
 
 import abc
+import functools
+import operator
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance
-from mcmc1d.numerics import log_sum, parameter, require, require_positive
+from mcmc1d.numerics import log_sum, parameter, pick, require, require_positive
 from mcmc1d.targets import Target
 from mcmc1d.techniques import Technique
-from mcmc1d.types import Array, Float, Scalar
+from mcmc1d.types import Array, Float, Index, Scalar
 
 
 class Weights(eqx.Module):
@@ -28,6 +30,15 @@ class Weights(eqx.Module):
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
         """Log w_i(x) for each technique, given the log-densities log p_i(x) of all."""
 
+    def log_ratio(
+        self, x: Float[Array, "..."], log_p: Sequence[Scalar], index: Index, p: Sequence[Scalar] | None = None
+    ) -> Scalar:
+        """Log w_i(x) / p_i(x) of technique i = `index`, -inf where p_i(x) is zero; `p`: the densities, if at hand."""
+        own = pick(log_p, index)
+        ratio = pick(self.log_weights(x, log_p), index) - own
+        # A sample where its own technique's density is zero to the last bit stands for nothing, whatever its weight.
+        return jnp.where(jnp.isnan(ratio) | jnp.isneginf(own), -jnp.inf, ratio)
+
 
 class Balance(Weights):
     """The balance heuristic, w_i = p_i / sum_j p_j."""
@@ -35,6 +46,16 @@ class Balance(Weights):
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
         total = log_sum(log_p)
         return [p - total for p in log_p]
+
+    def log_ratio(
+        self, x: Float[Array, "..."], log_p: Sequence[Scalar], index: Index, p: Sequence[Scalar] | None = None
+    ) -> Scalar:
+        """-log sum_j p_j."""
+        if p is None:
+            total, possible = log_sum(log_p), pick(log_p, index) > -jnp.inf
+        else:
+            total, possible = jnp.log(functools.reduce(operator.add, p)), pick(p, index) > 0
+        return jnp.where(possible & ~jnp.isnan(total), -total, -jnp.inf)
 
 
 class Power(Weights):

@@ -1,115 +1,157 @@
-"""The speed of the 1D multiplexed step through the public classes, as a share of a hand-written C loop."""
+"""What the benchmark shares: alternating rounds on one pinned core, medians, ratios first; its table and figure."""
 
 import os
-import shutil
-import subprocess
-import tempfile
-import time
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from typing import Any
 
-import jax
-import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from rich.box import SIMPLE
+from rich.table import Table
 
-import mcmc1d
-from mcmc1d.moves import SmallStep, StepAndChange, TechniqueChange
-from mcmc1d.numerics import cos_turns, sin_turns
-from mcmc1d.targets import Sinusoid
-from mcmc1d.techniques import Inversion, PiecewiseConstant, Tent, within
-from mcmc1d.types import Scalar
+from experiments.support.sweep import Show
 
-CHAINS, STEPS, BINS = 8192, 4096, 100
-
-
-class Smooth(Inversion):
-    """The density 0.6 + 0.8 x - 0.5 cos(2 pi x), its distribution function inverted by three Newton steps."""
-
-    def quantile(self, u: Scalar) -> Scalar:
-        """Right to float32, from a square root that is near."""
-        x = 0.94076407 * jnp.sqrt(u + 1e-4) - 0.0493469
-        for _ in range(3):
-            x = jnp.clip(x - (self.cdf(x) - u) / self._density(x), 0, 1)
-        return x
-
-    def cdf(self, x: Scalar) -> Scalar:
-        """The integral of the density from 0."""
-        return x * (0.6 + 0.4 * x) - sin_turns(x) * (0.25 / np.pi)
-
-    def log_prob(self, x: Scalar) -> Scalar:
-        """The log-density."""
-        return within(x, jnp.log(self._density(x)))
-
-    def _density(self, x: Scalar) -> Scalar:
-        return 0.6 + 0.8 * x - 0.5 * cos_turns(x)
+Go = Callable[[int], float]
+"""One timed round with a seed: chain steps a second; it was compiled before, and starts where it likes."""
 
 
-def multiplexed_step() -> tuple[mcmc1d.Multiplexed, StepAndChange]:
-    """The yardstick's target and move: sigma 0.05, the technique drawn afresh with probability 0.3."""
-    step = PiecewiseConstant([0, 0.25, 0.5, 0.75, 1], [0.4, 1.6, 0.6, 1.4])
-    target = mcmc1d.Multiplexed(Sinusoid(0.9, 2.0), (Tent(), step, Smooth()))
-    return target, StepAndChange(SmallStep(0.05), TechniqueChange(0.7 * np.eye(3) + 0.1))
+@dataclass(frozen=True)
+class Config:
+    """How much is measured."""
+
+    rounds: int = 5
+    """Alternating rounds of every contestant; medians are reported."""
+    work: float = 1.0
+    """Factor on the length of a round, a few tenths of a second at 1."""
 
 
-def measure(rounds: int) -> dict[str, Any]:
-    """Alternating rounds of C and of this library on one pinned core, and the medians of their steps per second.
+PROFILES = {"quick": Config(), "paper": Config(rounds=9, work=4.0)}
 
-    Which cores the process may use is afterwards what it was.
-    """
-    pinned = hasattr(os, "sched_setaffinity")
-    if not pinned:
-        return _measure(rounds) | {"pinned to one core": False}
+
+@contextmanager
+def pinned() -> Iterator[bool]:
+    """On one core, where the system can; afterwards the process may use what it might before."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield False
+        return
     cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cores)})
+    os.sched_setaffinity(0, {max(cores)})
     try:
-        return _measure(rounds) | {"pinned to one core": True}
+        yield True
     finally:
         os.sched_setaffinity(0, cores)
 
 
-def _measure(rounds: int) -> dict[str, Any]:
-    target, move = multiplexed_step()
-    start = mcmc1d.exact_start(jax.random.key(0), target, CHAINS)
-    estimators = {"x": mcmc1d.Histogram(BINS)}
-
-    def here(seed: int) -> float:
-        begin = time.perf_counter()
-        run = mcmc1d.run(
-            jax.random.key(seed), move, target, steps=STEPS, chains=CHAINS, blocks=1, start=start, estimators=estimators
-        )
-        jax.block_until_ready(run.state)
-        return CHAINS * STEPS / (time.perf_counter() - begin)
-
-    here(0)  # compiles
-    with tempfile.TemporaryDirectory() as folder:
-        program = _compile(Path(folder))
-        pairs = [(here(seed), _in_c(program, seed)) for seed in range(1, rounds + 1)]
-    ours, theirs = (median(side) for side in zip(*pairs, strict=True))
-    return {
-        "ratio to C": ours / theirs if program else "no C compiler found",
-        "steps/s": ours,
-        "steps/s in C": theirs,
-        "rounds": rounds,
-        "chains": CHAINS,
-        "jax": jax.__version__,
-    }
+def alternate(stage: str, contestants: Mapping[str, Go], rounds: int, show: Show) -> dict[str, list[float]]:
+    """Steps a second of everyone in every round; a round is one turn of each, so that a slow spell is shared."""
+    found: dict[str, list[float]] = {name: [] for name in contestants}
+    total = rounds * len(contestants)
+    for seed in range(1, rounds + 1):
+        for k, (name, go) in enumerate(contestants.items()):
+            found[name].append(go(seed))
+            show(stage, (seed - 1) * len(contestants) + k + 1, total)
+    return found
 
 
-def _compile(folder: Path) -> Path | None:
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        return None
-    program = folder / "yardstick"
-    source = Path(__file__).with_name("yardstick.c")
-    flags = ["-O3", "-march=native", "-ffast-math", "-Wno-psabi"]
-    subprocess.run([compiler, *flags, str(source), "-o", str(program), "-lm"], check=True)
-    return program
+def run(config: Config, seed: int, show: Show) -> xr.Dataset:
+    """The multiplexed step, the random walk, growth with the problem's size, and what starting and memory cost."""
+    from experiments.support import bench_growth, bench_start, bench_steps, bench_walks
+
+    found: dict[str, Any] = {}
+    with pinned() as one_core:
+        for stage, module in (("multiplexed step", bench_steps), ("random walk", bench_walks)):
+            contestants = module.contestants(config.work)
+            rates = alternate(stage, {n: c.go for n, c in contestants.items()}, config.rounds, show)
+            dim = stage.split()[-1]
+            found[f"{dim}_rate"] = ((dim, "round"), list(rates.values()))
+            found[f"{dim}_time"] = (dim, [c.autocorrelation_time for c in contestants.values()])
+            found[dim] = list(contestants)
+        for quantity, points in bench_growth.measure(config.rounds, config.work, show).items():
+            sizes, times = zip(*points.items(), strict=True)
+            found[f"at_{quantity}"] = (f"size_{quantity}", list(sizes))
+            found[f"ns_{quantity}"] = (f"size_{quantity}", list(times))
+    found |= bench_start.measure(show)
+    data = xr.Dataset({name: value for name, value in found.items() if name not in ("step", "walk")})
+    return data.assign_coords(step=found["step"], walk=found["walk"]).assign_attrs(pinned=int(one_core), seed=seed)
 
 
-def _in_c(program: Path | None, seed: int) -> float:
-    """Steps per second of the C loop, which inherits the pinning."""
-    if program is None:
-        return float("nan")
-    command = [str(program), "12", "60000", str(seed)]
-    return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[0])
+def machine() -> str:
+    """The processor, in its maker's words; what the system knows of it elsewhere."""
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text().splitlines() if information.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    flags = next((line for line in lines if line.startswith("flags")), "")
+    widest = next((name for name in ("avx512f", "avx2") if f" {name} " in f"{flags} "), "")
+    return " ".join(filter(None, [names[0] if names else platform.processor() or platform.machine(), widest]))
+
+
+def medians(data: xr.Dataset, dim: str) -> dict[str, float]:
+    """Each contestant's median steps per second."""
+    values = data[f"{dim}_rate"].median("round").to_numpy()
+    return dict(zip([str(n) for n in data[dim].to_numpy()], values.tolist(), strict=True))
+
+
+def ratio(data: xr.Dataset, dim: str, ours: str, theirs: str) -> float:
+    """The median over the rounds of the ratio within a round: what slows a whole round down cancels."""
+    rates = data[f"{dim}_rate"]
+    return float((rates.sel({dim: ours}) / rates.sel({dim: theirs})).median("round"))
+
+
+def headline(data: xr.Dataset) -> dict[str, float]:
+    """The ratios that are claimed; NaN where a contestant was not at hand."""
+    steps, walks = ([str(n) for n in data[dim].to_numpy()] for dim in ("step", "walk"))
+    time = dict(zip(walks, data.walk_time.to_numpy().tolist(), strict=True))
+    result = {}
+    for source in ("threefry", "hash32"):
+        for other in ("C", "Numba", "NumPy"):
+            here = other in steps
+            result[f"multiplexed step, {source} / {other}"] = ratio(data, "step", source, other) if here else np.nan
+        for other in (name for name in walks if name not in ("threefry", "hash32")):
+            plain = ratio(data, "walk", source, other)
+            result[f"random walk, {source} / {other}"] = plain
+            result[f"  in effective samples a second, {source} / {other}"] = plain * time[other] / time[source]
+    result["two cores / one"] = float(data.two_cores) if "two_cores" in data else np.nan
+    return result
+
+
+def table(data: xr.Dataset) -> Table:
+    """Ratios first, then each contestant."""
+    result = Table("what", "value", box=SIMPLE, padding=0, title="bench: medians of alternating rounds")
+    for name, value in headline(data).items():
+        result.add_row(name, "-" if np.isnan(value) else f"{value:.3g}")
+    for dim in ("step", "walk"):
+        for k, (name, value) in enumerate(medians(data, dim).items()):
+            time = float(data[f"{dim}_time"][k])
+            more = "" if np.isnan(time) else f", {value / time:.3g} effective samples/s"
+            result.add_row(f"{dim}: {name}", f"{value:.3g} steps/s{more}")
+    for name in ("import_s", "compile_cold_s", "compile_cached_s"):
+        result.add_row(name, f"{float(data[name]):.2f}")
+    result.add_row("peak memory, MiB, by steps", ", ".join(f"{v:.0f}" for v in data.memory_mib.to_numpy()))
+    return result
+
+
+def draw(data: xr.Dataset) -> Figure:
+    """Steps per second of every contestant; the time of a step against each size; memory against steps."""
+    figure, axes = plt.subplots(2, 4, figsize=(7.0, 3.4))
+    for axis, dim in zip(axes[:, 0], ("step", "walk"), strict=True):
+        rates = data[f"{dim}_rate"].to_numpy() / 1e6
+        y = np.arange(len(rates))
+        axis.barh(y, np.median(rates, axis=1), color="C0", alpha=0.6)
+        axis.plot(rates, np.repeat(y[:, None], rates.shape[1], 1), ".", color="black", markersize=2)
+        axis.set_yticks(y, [str(name) for name in data[dim].to_numpy()], fontsize=5)
+        axis.set(xscale="log", xlabel=f"10⁶ steps/s, {'multiplexed step' if dim == 'step' else 'random walk'}")
+        axis.invert_yaxis()
+    quantities = [str(name)[3:] for name in data.data_vars if str(name).startswith("ns_")]
+    for axis, quantity in zip(axes[:, 1:].flat, quantities, strict=False):
+        axis.plot(data[f"at_{quantity}"], data[f"ns_{quantity}"], "o-", markersize=3)
+        axis.set(xscale="log", yscale="log", xlabel=quantity, ylabel="ns a step")
+    memory = axes[1, 3]
+    memory.plot(data.memory_steps, data.memory_mib, "o-", markersize=3)
+    memory.set(xscale="log", xlabel="steps", ylabel="peak memory, MiB", ylim=(0, 1.2 * float(data.memory_mib.max())))
+    return figure

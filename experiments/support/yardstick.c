@@ -1,7 +1,7 @@
 // One step of the 1D multiplexed chain, written by hand: what this processor can do (see bench.py for the step).
-// GCC's vector extension, 16 floats wide: one AVX-512 register, or two of AVX2. W such groups are interleaved.
+// GCC's vector extension, one register wide: AVX-512, or AVX2, or what there is. W such groups are interleaved.
 //   cc -O3 -march=native -ffast-math yardstick.c -o yardstick -lm && ./yardstick GROUPS STEPS SEED
-#ifdef __AVX512F__
+#if defined(__AVX512F__) || defined(__AVX2__)
 #include <immintrin.h>
 #endif
 #include <math.h>
@@ -11,7 +11,12 @@
 #include <string.h>
 #include <time.h>
 
-enum { LANES = 16, W = 2, BINS = 100, SUBHISTOGRAMS = 4 };
+#ifdef __AVX512F__
+enum { LANES = 16 };
+#else
+enum { LANES = 8 };
+#endif
+enum { W = 2, BINS = 100, SUBHISTOGRAMS = 4 };
 typedef float real __attribute__((vector_size(4 * LANES)));
 typedef int32_t mask __attribute__((vector_size(4 * LANES)));
 typedef uint32_t word __attribute__((vector_size(4 * LANES)));
@@ -26,6 +31,13 @@ ALWAYS real whole(real a) { return (real)_mm512_roundscale_ps((__m512)a, 1); }
 ALWAYS real root(real a) { return (real)_mm512_sqrt_ps((__m512)a); }
 ALWAYS real over(real a, real b) {  // a / b by the 14-bit reciprocal and one Newton step
   real r = (real)_mm512_rcp14_ps((__m512)b);
+  return a * (r * (2 - b * r));
+}
+#elif defined(__AVX2__)
+ALWAYS real whole(real a) { return (real)_mm256_floor_ps((__m256)a); }
+ALWAYS real root(real a) { return (real)_mm256_sqrt_ps((__m256)a); }
+ALWAYS real over(real a, real b) {  // by the 12-bit reciprocal
+  real r = (real)_mm256_rcp_ps((__m256)b);
   return a * (r * (2 - b * r));
 }
 #else

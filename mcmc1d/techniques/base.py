@@ -53,6 +53,14 @@ class Technique(eqx.Module):
     def log_prob(self, x: Float[Array, "..."]) -> Scalar:
         """The log-density of x with respect to Lebesgue measure dx, v integrated out; -inf outside the support."""
 
+    def prob(self, x: Float[Array, "..."]) -> Scalar | None:
+        """The density itself, 0 outside the support; None unless redefined, and all is done with `log_prob`.
+
+        To be redefined where it can not underflow, and agree with `log_prob`: sums of densities, as those of the
+        balance heuristic, then need neither logarithms nor exponentials, which are most of an evaluation's cost.
+        """
+        return None
+
 
 class Inversion(Technique):
     """A 1D technique by the inversion method: x = P^-1(u), for the cumulative distribution function P.
@@ -107,3 +115,8 @@ def dim_v(technique: Technique) -> int:
 def within(x: Scalar, log_prob: Scalar, lower: Any = 0.0, upper: Any = 1.0) -> Scalar:
     """`log_prob` for x in [lower, upper], -inf outside."""
     return jnp.where((x >= lower) & (x <= upper), log_prob, -jnp.inf)
+
+
+def density_within(x: Scalar, prob: Scalar, lower: Any = 0.0, upper: Any = 1.0) -> Scalar:
+    """`prob` for x in [lower, upper], 0 outside."""
+    return jnp.where((x >= lower) & (x <= upper), prob, 0)

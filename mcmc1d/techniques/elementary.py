@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.numerics import is_concrete, linear_cdf, linear_quantile, parameter, require
-from mcmc1d.techniques.base import Inversion, within
+from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Scalar
 
 
@@ -20,6 +20,9 @@ class Uniform(Inversion):
 
     def log_prob(self, x: Scalar) -> Scalar:
         return within(x, jnp.zeros_like(x))
+
+    def prob(self, x: Scalar) -> Scalar:
+        return density_within(x, jnp.ones_like(x))
 
 
 class Tent(Inversion):
@@ -48,8 +51,14 @@ class Tent(Inversion):
         return jnp.where(x < c, x * x / c, 1 - (1 - x) * (1 - x) / (1 - c))
 
     def log_prob(self, x: Scalar) -> Scalar:
+        return within(x, jnp.log(self._density(x)))
+
+    def prob(self, x: Scalar) -> Scalar:
+        return density_within(x, self._density(x))
+
+    def _density(self, x: Scalar) -> Scalar:
         c = jnp.asarray(self.mode)
-        return within(x, jnp.log(2 * jnp.where(x < c, x / c, (1 - x) / (1 - c))))
+        return 2 * jnp.where(x < c, x / c, (1 - x) / (1 - c))
 
 
 class Ramp(Inversion):
@@ -73,8 +82,14 @@ class Ramp(Inversion):
         return linear_cdf(*self._ends(), x)
 
     def log_prob(self, x: Scalar) -> Scalar:
+        return within(x, jnp.log(self._density(x)))
+
+    def prob(self, x: Scalar) -> Scalar:
+        return density_within(x, self._density(x))
+
+    def _density(self, x: Scalar) -> Scalar:
         left, right = self._ends()
-        return within(x, jnp.log(left * (1 - x) + right * x))
+        return left * (1 - x) + right * x
 
 
 EXAMPLES = {

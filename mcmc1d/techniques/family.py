@@ -47,6 +47,10 @@ class Family(eqx.Module):
     def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
         """The log-density of x with respect to dx of every member."""
 
+    def probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...] | None:
+        """The density itself of every member (see `Technique.prob`); None unless redefined."""
+        return None
+
     def look(
         self, target: Any, index: Index, u: Float[Array, " m"]
     ) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
@@ -95,3 +99,7 @@ class Several(Family):
 
     def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
         return tuple(technique.log_prob(x) for technique in self.techniques)
+
+    def probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...] | None:
+        found = [p for technique in self.techniques if (p := technique.prob(x)) is not None]
+        return tuple(found) if len(found) == len(self.techniques) else None

@@ -90,6 +90,12 @@ class Mixture(Technique):
     def log_prob(self, x: Float[Array, "..."]) -> Scalar:
         return log_sum(self._log_joint(x))
 
+    def prob(self, x: Float[Array, "..."]) -> Scalar | None:
+        found = [lobe.prob(x) for lobe in self.lobes]
+        if any(p is None for p in found):
+            return None
+        return sum(self.weights[t] * p for t, p in enumerate(found))
+
     def _prior(self) -> list[Scalar]:
         return cumulative([jnp.asarray(self.weights[t]) for t in range(len(self.lobes))])
 

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import density_table
 from mcmc1d.numerics import between, choose, entry, linear_cdf, linear_quantile, locate, unchoose, width
-from mcmc1d.techniques.base import Inversion, within
-from mcmc1d.types import Corners, Float, Index, Real, Scalar
+from mcmc1d.techniques.base import Inversion, density_within, within
+from mcmc1d.types import Array, Corners, Float, Index, Real, Scalar
 
 
 class PiecewiseConstant(Inversion):
@@ -41,8 +41,19 @@ class PiecewiseConstant(Inversion):
         return unchoose(self.cumulative, *choose(self.edges, x))
 
     def log_prob(self, x: Scalar) -> Scalar:
-        k = locate(self.edges, x)
-        return within(x, jnp.log(width(self.cumulative, k) / width(self.edges, k)), self.edges[0], self.edges[-1])
+        # The logarithm of the table, not one for each x: a loop over steps takes it once.
+        return self._within(x, jnp.log(self._heights()), -jnp.inf)
+
+    def prob(self, x: Scalar) -> Scalar:
+        return self._within(x, self._heights(), 0)
+
+    def _heights(self) -> Float[Array, " n"]:
+        return jnp.diff(jnp.asarray(self.cumulative)) / jnp.diff(jnp.asarray(self.edges))
+
+    def _within(self, x: Scalar, table: Float[Array, " n"], outside: float) -> Scalar:
+        """What a table has for the cell that x lies in; outside all of them, `outside`."""
+        inside = (x >= self.edges[0]) & (x <= self.edges[-1])
+        return jnp.where(inside, entry(table, locate(self.edges, x)), outside)
 
 
 class Tabulated(Inversion):
@@ -82,8 +93,14 @@ class Tabulated(Inversion):
         return unchoose(self.cumulative, *self._cell(x))
 
     def log_prob(self, x: Scalar) -> Scalar:
+        return within(x, jnp.log(self._density(x)))
+
+    def prob(self, x: Scalar) -> Scalar:
+        return density_within(x, self._density(x))
+
+    def _density(self, x: Scalar) -> Scalar:
         n = self.cumulative.shape[0] - 1
-        return within(x, jnp.log(n * width(self.cumulative, self._cell(x)[0])))
+        return n * width(self.cumulative, self._cell(x)[0])
 
 
 class PiecewiseLinear(Inversion):
@@ -120,9 +137,15 @@ class PiecewiseLinear(Inversion):
         return unchoose(self.cumulative, k, linear_cdf(*self._ends(k), t))
 
     def log_prob(self, x: Scalar) -> Scalar:
+        return within(x, jnp.log(self._density(x)), self.knots[0], self.knots[-1])
+
+    def prob(self, x: Scalar) -> Scalar:
+        return density_within(x, self._density(x), self.knots[0], self.knots[-1])
+
+    def _density(self, x: Scalar) -> Scalar:
         k, t = choose(self.knots, x)
         left, right = self._ends(k)
-        return within(x, jnp.log(left * (1 - t) + right * t), self.knots[0], self.knots[-1])
+        return left * (1 - t) + right * t
 
     def _ends(self, k: Index) -> tuple[Scalar, Scalar]:
         """The density at both ends of cell k."""

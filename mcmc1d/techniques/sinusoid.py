@@ -6,7 +6,7 @@ import numpy as np
 from jax.lax import stop_gradient
 
 from mcmc1d.numerics import is_concrete, limit, parameter, require, sin_turns
-from mcmc1d.techniques.base import Inversion, within
+from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Scalar
 
 
@@ -74,6 +74,9 @@ class RaisedSinusoid(Inversion):
 
     def log_prob(self, x: Scalar) -> Scalar:
         return within(x, jnp.log(self._density(x)))
+
+    def prob(self, x: Scalar) -> Scalar:
+        return density_within(x, self._density(x))
 
     def _density(self, x: Scalar) -> Scalar:
         e, start = self._from_minimum()
