@@ -66,7 +66,9 @@ def run(
                     data = module.run(config, seed, Sweep(show, kept, jobs, dask))
             except KeyboardInterrupt:
                 saved = f"{len(kept)} finished parts and {len(checkpoints(kept.path))} checkpoints"
-                errors.print(f"{name}: interrupted; {saved} are kept: go on with the same command and --resume")
+                errors.print(
+                    f"{name}: interrupted; {saved} are kept: go on with the same command and --resume", soft_wrap=True
+                )
                 raise typer.Exit(130) from None
             claims = module.judge(data)
             record = framework.manifest(name, profile, config, seed, claims)
