@@ -6,7 +6,7 @@ from jax.extend.random import threefry2x32_p
 from scipy import stats
 
 import mcmc1d
-from mcmc1d import moves, targets, techniques, verify
+from mcmc1d import moves, targets, techniques
 from mcmc1d.random import SOURCES, Hash32, Threefry, source, threefry, uniforms
 
 
