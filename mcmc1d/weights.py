@@ -51,7 +51,9 @@ class Balance(Weights):
         self, x: Float[Array, "..."], log_p: Sequence[Scalar], index: Index, p: Sequence[Scalar] | None = None
     ) -> Scalar:
         """-log sum_j p_j."""
-        if p is None:
+        if len(log_p) == 1:
+            total, possible = log_p[0], log_p[0] > -jnp.inf
+        elif p is None:
             total, possible = log_sum(log_p), pick(log_p, index) > -jnp.inf
         else:
             total, possible = jnp.log(functools.reduce(operator.add, p)), pick(p, index) > 0

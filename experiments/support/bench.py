@@ -18,7 +18,11 @@ from rich.table import Table
 from experiments.support.sweep import Show
 
 Go = Callable[[int], float]
-"""One timed round with a seed: chain steps a second; it was compiled before, and starts where it likes."""
+"""One timed round with a seed: chain steps per second of processor time; it was compiled before.
+
+Processor time, not that of the clock: on a core that others use too, a contestant whose rounds are long is interrupted
+more often than one whose rounds are short. On an idle machine the two agree.
+"""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ if order["cores"]:
     os.sched_setaffinity(0, order["cores"])
 begin = time.perf_counter()
 import mcmc1d
+mcmc1d.run
 imported = time.perf_counter() - begin
 import jax
 from experiments.support import bench_steps, sweep

@@ -89,12 +89,12 @@ def library(target: mcmc1d.Multiplexed, move: Move, steps: int, source: str, cha
 
     def go(seed: int) -> float:
         key = jax.random.key(seed)
-        begin = time.perf_counter()
+        begin = time.process_time()
         run = mcmc1d.run(
             key, move, target, steps=steps, chains=chains, blocks=1, start=start, estimators=estimators, random=source
         )
         jax.block_until_ready(run.state)
-        return chains * steps / (time.perf_counter() - begin)
+        return chains * steps / (time.process_time() - begin)
 
     go(0)
     return go
@@ -126,7 +126,7 @@ def _in_numpy(chains: int, steps: int, seed: int) -> float:
     u, t = rng.random(chains, f32), rng.integers(0, 3, chains)
     x = _sample(u, t)
     c, histogram = _density(x), np.zeros(BINS)
-    begin = time.perf_counter()
+    begin = time.process_time()
     for _ in range(steps):
         u2 = u + f32(0.05) * rng.standard_normal(chains, f32)
         u2 -= np.floor(u2)
@@ -139,7 +139,7 @@ def _in_numpy(chains: int, steps: int, seed: int) -> float:
             histogram += np.bincount(np.minimum((where * BINS).astype(int), BINS - 1), weight, BINS)
         yes = rng.random(chains, f32) < a
         u, t, x, c = np.where(yes, u2, u), np.where(yes, t2, t), np.where(yes, x2, x), np.where(yes, c2, c)
-    seconds = time.perf_counter() - begin
+    seconds = time.process_time() - begin
     if abs(histogram.sum() / (chains * steps) - 1) > 1e-4:
         raise RuntimeError("bench: the NumPy step has lost deposits")
     return chains * steps / seconds

@@ -3,12 +3,11 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.nn import logsumexp
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from mcmc1d.checks import rising
-from mcmc1d.numerics import is_concrete, parameter, require, require_positive
+from mcmc1d.numerics import is_concrete, log_sum, parameter, require, require_positive
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Float, Real, Scalar
 
@@ -34,9 +33,12 @@ class GaussianMixture(Target):
             require(bool(np.all(np.isfinite(self.means))), f"GaussianMixture: the means must be finite: {self.means}")
 
     def log_f(self, x: Scalar) -> Scalar:
-        z = (x - self.means) / self.sigmas
-        log_terms = jnp.log(self.weights / (self.sigmas * np.sqrt(2 * np.pi))) - z * z / 2
-        return jnp.where((x >= 0) & (x <= 1), logsumexp(log_terms), -jnp.inf)
+        log_scales = jnp.log(self.weights / (self.sigmas * np.sqrt(2 * np.pi)))
+        terms = []
+        for k in range(self.means.shape[0]):  # one by one: over many chains, a short axis of terms does not vectorise
+            z = (x - self.means[k]) / self.sigmas[k]
+            terms.append(log_scales[k] - z * z / 2)
+        return jnp.where((x >= 0) & (x <= 1), log_sum(terms), -jnp.inf)
 
     def bin_masses(self, edges: np.ndarray) -> np.ndarray:
         edges = np.clip(rising(edges, "GaussianMixture.bin_masses"), 0, 1)[:, None]
