@@ -20,7 +20,8 @@ runpy.run_module(sys.argv.pop(1), run_name="__main__", alter_sys=True)
 def side_by_side(module: str, parts: Sequence[Sequence[str]], jobs: int, done: Callable[[int, str, str], None]) -> int:
     """Run `python -m module ARGUMENTS` for each list of arguments, `jobs` at a time; the largest exit code.
 
-    One at a time has all cores. `done` is called as each ends, with its number, its output and its errors. Ctrl-C reaches all of them.
+    One at a time has all cores. `done` is called as each ends, with its number, its output and its errors. Ctrl-C
+    reaches all of them.
     """
     require(jobs >= 1, f"jobs is a number of processes, at least 1, not {jobs}")
     every = sorted(os.sched_getaffinity(0))
