@@ -42,6 +42,7 @@ class Returning(Move):
         there = target.evaluate(proposal.state)
         back = self.move.propose(target, there, proposal.w)
         same = jnp.asarray(back.state.index == state.index) & self._near(back.state.u, state.u) & self._near(back.w, w)
+        same &= back.log_det > -jnp.inf  # a way back that is never taken is none, wherever it would lead; nor is NaN
         return Proposal(there, proposal.w, jnp.where(same, proposal.log_det, -jnp.inf), proposal.kind)
 
     def _near(self, a: Float[Array, " n"], b: Float[Array, " n"]) -> Bool[Array, ""]:
