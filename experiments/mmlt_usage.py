@@ -217,12 +217,13 @@ def draw(data: xr.Dataset) -> Figure:
     middle.bar(np.arange(4), 100 * data.ratio, 0.6, color=("C0", "C5", "C1", "C4"))
     for k, ratio in enumerate(data.ratio.to_numpy()):
         middle.annotate(f"{ratio:.1%}", (k, 100 * ratio), ha="center", va="bottom", fontsize=6)
-    middle.set_xticks(np.arange(4), ["MMLT", "MMLT\nany index", "PSSMLT\nsum", "PSSMLT\nmax"], fontsize=5)
+    middle.set_xticks(np.arange(4), ["MMLT", "MMLT\nany index", "PSSMLT\nsum", "PSSMLT\nmax"], fontsize=6)
     middle.set(ylabel="effective path ratio (%)", ylim=(0, 118 * float(data.ratio.max())))
     for name, mark in (("at the start", "s--"), ("progressively", "o-")):
         right.plot(data.samples, 100 * data.b_error.sel(estimate=name), mark, markersize=3, label=name)
     right.set(xscale="log", yscale="log", xlabel="samples of each length", ylabel="RMS error of b (%)")
     right.set_yticks([0.3, 1, 3], ["0.3", "1", "3"])
+    right.set_ylim(0.6 * 100 * float(data.b_error.min()), 1.6 * 100 * float(data.b_error.max()))
     right.minorticks_off()
     right.legend(title="$b_k$ estimated", title_fontsize=6, loc="lower left")
     return figure
