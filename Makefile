@@ -12,7 +12,7 @@ help:  ## this list
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 14
 
 reproduce: $(STAMP)  ## write every figure and its data into figures/ (quick profile)
-	$(RUN) -m experiments run --all
+	$(RUN) -m experiments run --all --jobs $$(nproc)
 
 test: $(STAMP)  ## run the tests, in parallel
 	$(RUN) -m pytest -n $(JOBS) --dist worksteal

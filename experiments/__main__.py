@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from experiments.support import framework
+from experiments.support.beside import side_by_side
 from experiments.support.long import at
 from experiments.support.progress import bars
 from experiments.support.sweep import Sweep, checkpoints, journal, keep_compiled
@@ -42,7 +43,7 @@ def run(
     seed: Annotated[int, typer.Option(help="The same seed gives the same numbers.")] = 0,
     out: Out = Path("figures"),
     set_: Annotated[list[str] | None, typer.Option("--set", help="Override a field: name=value, repeatable.")] = None,
-    jobs: Annotated[int, typer.Option(help="Processes that share a sweep's work, each pinned to a core.")] = 1,
+    jobs: Annotated[int, typer.Option(help="Processes, pinned to a core each, for sweeps and experiments.")] = 1,
     dask: Annotated[str | None, typer.Option(help="A Dask scheduler, tcp://..., whose workers share a sweep.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Take up what an interrupted run has left.")] = False,
 ) -> None:
@@ -56,6 +57,11 @@ def run(
         module = framework.load(name)
         todo.append((name, module, framework.configure(module, profile, set_ or [])))
     framework.require_writable(out)
+    if jobs > 1 and len(todo) > 1:
+        options = ["--profile", profile, "--seed", str(seed), "--out", str(out)]
+        options += [part for field in set_ or [] for part in ("--set", field)] + ["--resume"] * resume
+        options += [] if dask is None else ["--dask", dask]
+        raise typer.Exit(_beside([(name, getattr(module, "ALONE", False)) for name, module, _ in todo], options, jobs))
     framework.style()
     surprises = []
     for name, module, config in todo:
@@ -83,6 +89,28 @@ def run(
         errors.print(f"[red]{claim.id}: {claim.verdict}, where theory says {claim.expected}: {claim.number}[/]")
     if surprises:
         raise typer.Exit(1)
+
+
+def _beside(chosen: list[tuple[str, bool]], options: list[str], jobs: int) -> int:
+    """Run experiments in processes side by side; after them those that measure time, one by one. The exit code."""
+    together = [["run", name, *options] for name, alone in chosen if not alone]
+    lonely = [["run", name, "--jobs", str(jobs), *options] for name, alone in chosen if alone]
+    code, count = 0, 0
+    with bars(errors) as show:
+
+        def done(_: int, out: str, err: str) -> None:
+            nonlocal count
+            count += 1
+            show("experiments", count, len(chosen))
+            for text, where in ((out, console), (err, errors)):
+                if text:
+                    where.print(text.rstrip("\n"), markup=False, highlight=False, soft_wrap=True)
+
+        show("experiments", 0, len(chosen))
+        for parts, at_once in ((together, jobs), *(([part], 1) for part in lonely)):
+            if parts:
+                code = max(code, side_by_side("experiments", parts, at_once, done))
+    return code
 
 
 @app.command()

@@ -19,6 +19,7 @@ import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
+from mcmc1d.checks import require_instance
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Mixture, Move, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.moves.exchange import CoordinateStep
@@ -194,8 +195,7 @@ def _floor_error(
 ) -> tuple[float, float]:
     """The total variation of the law in x that the chain over (u_t, u) keeps, and the net's noise."""
     operator = transition_operator(SmallStep(config.sigma), floor, points=config.points)
-    assert isinstance(floor.target, Floored)
-    own, coarse = floor.target, edges[::4]
+    own, coarse = require_instance(floor.target, Floored, "the target of the floored index"), edges[::4]
     law = operator.law_of(coarse, lambda u: samples(own, u))
     return total_variation(law.masses[0], exact.reshape(-1, 4).sum(1)), law.noise
 

@@ -251,11 +251,13 @@ def draw(data: xr.Dataset) -> Figure:
         for axis, values in ((row[0], exact), (row[1], right.found.to_numpy())):
             shown = axis.imshow(values.T * cells, origin="lower", extent=(0, 1, 0, 1), vmin=0, vmax=top, cmap="viridis")
         figure.colorbar(shown, ax=list(row[:2]), label="density", shrink=0.9, aspect=25)
-        for axis, run, limit in ((row[2], right, 5), (row[3], wrong, 20)):
+        for axis, run, most in ((row[2], right, 5), (row[3], wrong, 20)):
             error = run.error.to_numpy()
             off = run.found.to_numpy() - exact
             # Grey: holes, and cells so dark that the error of their few hits is far from normal.
             z = np.divide(off, error, out=np.full_like(error, np.nan), where=exact * cells > 0.05)
+            # A law that is a little wrong shows too: the scale ends where the error does, at 5 standard errors or over.
+            limit = float(np.clip(np.ceil(np.nanmax(np.abs(z))), 5, most))
             axis.set_facecolor("0.75")
             shown = axis.imshow(z.T, origin="lower", extent=(0, 1, 0, 1), vmin=-limit, vmax=limit, cmap="RdBu_r")
             figure.colorbar(shown, ax=axis, label="error / s.e.", shrink=0.9, aspect=25)

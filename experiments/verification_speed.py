@@ -33,6 +33,10 @@ class Config:
 PROFILES = {"quick": Config(), "paper": Config(seeds=5)}
 
 
+ALONE = True
+"""It measures time: nothing may run beside it."""
+
+
 class Case(NamedTuple):
     """A right kernel and a wrong one on the same law."""
 

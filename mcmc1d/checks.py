@@ -1,6 +1,6 @@
 """Checks of what a user gives, which say what is wrong with it: instances, boxes, densities in tables, edges."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -9,12 +9,15 @@ from numpy.typing import ArrayLike
 from mcmc1d.numerics import is_concrete, require
 from mcmc1d.types import Float, Real
 
+T = TypeVar("T")
 
-def require_instance(value: Any, kind: type, who: str, fix: str = "") -> None:
-    """Raise `ValueError` unless `value` is an instance of `kind`: a class in its place is a common slip."""
+
+def require_instance(value: Any, kind: type[T], who: str, fix: str = "") -> T:
+    """`value`, or `ValueError` unless it is an instance of `kind`: a class in its place is a common slip."""
     if isinstance(value, type):
         raise ValueError(f"{who}: give an instance, {value.__name__}(...), not the class {value.__name__}")
     require(isinstance(value, kind), f"{who} must be a {kind.__name__}, not a {type(value).__name__}{fix}")
+    return value
 
 
 def require_box(owner: eqx.Module, lower: Float[Real, "..."], upper: Float[Real, "..."]) -> None:

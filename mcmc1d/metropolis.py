@@ -3,7 +3,7 @@
 import abc
 import itertools
 from collections.abc import Sequence
-from typing import Generic, Literal, TypeVar
+from typing import Generic, Literal, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -20,11 +20,25 @@ M = TypeVar("M", bound=Move)
 
 
 class Deposits(eqx.Module):
-    """Weighted points whose expectation over a step is that of the target: the weights of one step sum to one."""
+    """Weighted points whose expectation over a step is that of the target: the weights of one step sum to one.
+
+    Unless the kernel says otherwise: see `Kernel.deposited`.
+    """
 
     x: Float[Array, "n ..."]
     index: Int[Array, " n"]
     weight: Float[Array, " n"]
+
+
+class Deposited(NamedTuple):
+    """What a kernel's deposits are samples of, in expectation over a stationary chain."""
+
+    target: Multiplexed
+    """The deposits' x have the law of its x."""
+    total: float = 1.0
+    """The expected total weight of a step."""
+    most: float = 1.0
+    """The largest."""
 
 
 class Info(eqx.Module):
@@ -64,6 +78,10 @@ class Kernel(eqx.Module):
     @abc.abstractmethod
     def check(self, target: Multiplexed) -> None:
         """Raise `ValueError` where the kernel does not fit the target."""
+
+    def deposited(self, target: Multiplexed) -> Deposited | None:
+        """What it deposits, where that is not the chain's own target at a total weight of one; on the host."""
+        return None
 
 
 class OfMove(Kernel, Generic[M]):

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance, rising
-from mcmc1d.metropolis import Deposits, Kernel, OfMove, Step, accept
+from mcmc1d.metropolis import Deposited, Deposits, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, SmallStep
 from mcmc1d.numerics import cast, log_sum, require
 from mcmc1d.quadrature import integrate
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import DensityOf, Target
-from mcmc1d.techniques import Several
 from mcmc1d.techniques.product import cube
 from mcmc1d.types import Array, Corners, Float, Scalar
 
@@ -56,23 +55,24 @@ class Pooled(Target):
 
     def contributions(self, u: Float[Array, " m"]) -> tuple[Float[Array, "n ..."], Float[Array, " n"]]:
         """(x_i, log C_i) of every technique."""
-        n = self.multiplexed.n_techniques
-        if not isinstance(self.multiplexed.family, Several):  # they share their work, and one program makes them all
-            seen = jax.vmap(lambda i: self.multiplexed.evaluate(State(i, u)).seen)(jnp.arange(n, dtype=jnp.int32))
-            return seen.x, seen.log_c
-        found = [self.multiplexed.evaluate(State(i, u)).seen for i in range(n)]
-        return jnp.stack([one.x for one in found]), jnp.stack([one.log_c for one in found])
+        # One program for all of them: written out one by one, they take many times as long to compile.
+        index = jnp.arange(self.multiplexed.n_techniques)
+        found = jax.vmap(lambda i: self.multiplexed.evaluate(State(i, u)).seen)(index)
+        return found.x, found.log_c
+
+    def combined(self, log_c: Float[Array, " n"]) -> Scalar:
+        """Log C of the techniques' log C_i."""
+        return log_sum(list(log_c)) if self.combine == "sum" else jnp.max(log_c)
 
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         """Log C at u = x; -inf outside of the cube."""
         u = jnp.atleast_1d(x)
-        log_c = self.contributions(u)[1]
-        value = log_sum(list(log_c)) if self.combine == "sum" else jnp.max(log_c)
+        value = self.combined(self.contributions(u)[1])
         return jnp.where(jnp.all((u >= 0) & (u <= 1)), value, -jnp.inf)
 
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+    def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
         require(self.multiplexed.dim_u == 1, "Pooled: the masses of bins of u are known for one u only")
-        return self.quadrature(edges)
+        return self.quadrature(np.asarray(edges))
 
 
 class Floored(Target):
@@ -142,7 +142,11 @@ def _states(target: Floored, u: Float[Array, "n m"]) -> State:
 
 
 def integral(target: Target) -> float:
-    """The exact integral of a 1D target over its domain: for `Pooled`, what its chain's deposits are multiplied by."""
+    """The exact integral of a 1D target over its domain: for `Pooled`, what its chain's deposits are multiplied by.
+
+    Raises `ValueError` for a target of more dimensions.
+    """
+    require(np.ndim(target.domain[0]) == 0, f"integral: {type(target).__name__} is no target on the line")
     return float(integrate(DensityOf(target), np.asarray(target.domain, np.float64), target.breaks)[0].sum())
 
 
@@ -160,12 +164,22 @@ class PooledDeposit(OfMove[Move]):
         require_instance(self.move, Move, "PooledDeposit: the move")
 
     def check(self, target: Multiplexed) -> None:
-        require_instance(target.target, Pooled, "PooledDeposit: the chain's target", "; see pooled()")
+        _pooled(target)
         self.move.check(target)
 
+    def deposited(self, target: Multiplexed) -> Deposited:
+        """Samples of the f that is pooled; with the maximum, so many a step as its integral has fallen short of b.
+
+        Raises `ValueError` for the maximum over techniques of several numbers, whose integral is not known.
+        """
+        own = _pooled(target)
+        if own.combine == "sum":
+            return Deposited(own.multiplexed)
+        total = integral(own.multiplexed.target) / integral(own)
+        return Deposited(own.multiplexed, total, own.multiplexed.n_techniques)
+
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
-        own = target.target
-        assert isinstance(own, Pooled)  # as `check` has made sure
+        own = _pooled(target)
         proposal = self.move.propose(target, state, w[:-1])
         step = accept(target, state, proposal, w[-1], "plain")
         a = step.info.acceptance[0]
@@ -176,10 +190,14 @@ class PooledDeposit(OfMove[Move]):
         return Step(step.state, Deposits(x, index, weight), step.info)
 
 
+def _pooled(target: Multiplexed) -> Pooled:
+    return require_instance(target.target, Pooled, "PooledDeposit: the chain's target", "; see pooled()")
+
+
 def _shares(own: Pooled, u: Float[Array, " m"], share: Scalar) -> tuple[Array, Array]:
     """The samples of u, and the share dealt out to them; a dark u, from which every chain leaves, gives nothing."""
     x, log_c = own.contributions(u)
-    log_total = own.log_f(u[0] if own.multiplexed.dim_u == 1 else u)
+    log_total = own.combined(log_c)
     lit = jnp.isfinite(log_total) & (log_c > -jnp.inf)
     return x, jnp.where(lit, share * jnp.exp(jnp.where(lit, log_c - log_total, 0)), 0)
 

@@ -24,6 +24,8 @@ LENGTHS: tuple[Target, ...] = (
 """What stands for the paths of three lengths; the last is lit for one sample in fifty."""
 FIRST = 64
 """Samples of each length that estimate b_k at the start."""
+SHARES = (0.5, 0.3, 0.2)
+"""P(k), the probability with which a length is chosen; not in proportion to b_k."""
 CHECKPOINTS = (64, 256, 1024, 4096, 16384)
 
 
@@ -52,6 +54,12 @@ def histograms(
     return found.sums["x"][0] / steps
 
 
+def over_lengths() -> tuple[Multiplexed, Move]:
+    """One chain over all lengths: its target and its move."""
+    step = Mixture({"large": (0.1, StepAndChange(LargeStep())), "small": (0.9, StepAndChange(SmallStep(0.1)))})
+    return over_parts(LENGTHS, (Uniform(),) * len(LENGTHS)), step
+
+
 def lengths(key: jax.Array, edges: np.ndarray, work: int, repeats: int) -> dict[str, Any]:
     """One chain over lengths and one for each, b_k known; then b_k estimated at the start or all along.
 
@@ -59,18 +67,23 @@ def lengths(key: jax.Array, edges: np.ndarray, work: int, repeats: int) -> dict[
     """
     masses = np.stack([length.bin_masses(edges) for length in LENGTHS])
     b = masses.sum(1)
-    step = Mixture({"large": (0.1, StepAndChange(LargeStep())), "small": (0.9, StepAndChange(SmallStep(0.1)))})
-    over = over_parts(LENGTHS, (Uniform(),) * len(LENGTHS))
+    over, step = over_lengths()
     one = b.sum() * histograms(key, step, over, edges, work, repeats)
     alone = Mixture({"large": (0.1, LargeStep()), "small": (0.9, SmallStep(0.1))})
     each = np.zeros_like(one)
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint64))
+    # Of each repetition only the chain of one length counts, that of P(k); what it deposits is divided by P(k), or not.
+    chosen = np.searchsorted(np.cumsum(SHARES)[:-1], rng.random(repeats), side="right")
+    divided, undivided = np.zeros_like(one), np.zeros_like(one)
     for k, length in enumerate(LENGTHS):
         steps = max(1, round(work * b[k] / b.sum()))
         own = Multiplexed(length, Uniform())
-        each += b[k] * histograms(jax.random.fold_in(key, k), alone, own, edges, steps, repeats)
+        found = b[k] * histograms(jax.random.fold_in(key, k), alone, own, edges, steps, repeats)
+        each += found
+        here = (chosen == k)[:, None]
+        divided, undivided = divided + found * here / SHARES[k], undivided + found * here
     errors = [np.sqrt(np.mean((part - masses.sum(0)) ** 2, axis=1)) for part in (one, each)]
 
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint64))
     trials = 512
     rows, missed = [], 0.0
     for k, length in enumerate(LENGTHS):
@@ -87,11 +100,13 @@ def lengths(key: jax.Array, edges: np.ndarray, work: int, repeats: int) -> dict[
         "over_bias": float(np.abs(one.mean(0) - masses.sum(0)).max() / masses.sum(0).max()),
         "bias_z": (
             "chain",
-            [
-                float(np.abs((p.mean(0) - masses.sum(0)) / (p.std(0, ddof=1) / np.sqrt(len(p)))).max())
-                for p in (one, each)
-            ],
+            [_z(part, masses.sum(0)) for part in (one, each)],
         ),
+        "divided": float(divided.sum(1).mean() / b.sum()),
+        "divided_error": float(divided.sum(1).std(ddof=1) / np.sqrt(repeats) / b.sum()),
+        "divided_z": _z(divided, masses.sum(0)),
+        "undivided": float(undivided.sum(1).mean() / b.sum()),
+        "undivided_exact": float(np.dot(SHARES, b) / b.sum()),
         "b_error": (("estimate", "samples"), np.stack([once, progressive])),
         "missed": missed,
         "miss_predicted": 0.98**FIRST,
@@ -99,3 +114,8 @@ def lengths(key: jax.Array, edges: np.ndarray, work: int, repeats: int) -> dict[
         "rare_share": float(b[-1] / b.sum()),
         "miss_repeats": trials,
     }
+
+
+def _z(parts: np.ndarray, exact: np.ndarray) -> float:
+    """How many standard errors the mean of independent histograms is off, in its worst bin."""
+    return float(np.abs((parts.mean(0) - exact) / (parts.std(0, ddof=1) / np.sqrt(len(parts)))).max())

@@ -7,6 +7,7 @@ from mcmc1d.moves.mixture import Mixture
 from mcmc1d.moves.multiple_try import MultipleTry
 from mcmc1d.moves.perturbations import LinearStep, TruncatedStep, UniformStep
 from mcmc1d.moves.primary import ExponentialStep, LargeStep, SmallStep
+from mcmc1d.moves.returning import Returning
 from mcmc1d.moves.reversible_jump import AimedJump, ReversibleJump
 from mcmc1d.moves.scaled import ScaledStep
 from mcmc1d.moves.technique import StepAndChange, TechniqueChange
@@ -25,6 +26,7 @@ __all__ = [
     "Move",
     "MultipleTry",
     "Proposal",
+    "Returning",
     "ReversibleJump",
     "Rotated",
     "ScaledStep",

@@ -77,7 +77,7 @@ def regular(n_index: int, counts: tuple[int, ...], atoms: tuple[np.ndarray, ...]
 
 
 def number(
-    edges: tuple[Float[Array, " n"], ...], counts: tuple[int, ...], index: Index, q: Float[Array, " k"]
+    edges: tuple[Float[Array, " _"], ...], counts: tuple[int, ...], index: Index, q: Float[Array, " k"]
 ) -> Index:
     """The number of the box that holds (index, q): one point; `counts`, of the equal intervals that were cut again."""
     k = jnp.asarray(index)

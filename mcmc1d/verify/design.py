@@ -11,7 +11,7 @@ import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import POOLED, Exchangeable, OneSample, Test, TwoSample, coordinates
-from mcmc1d.verify.law import Bins, Continuous, Law, Position
+from mcmc1d.verify.law import Bins, Continuous, Law, Position, Statistic
 from mcmc1d.verify.subject import Look
 
 _CUTS = 64
@@ -19,11 +19,21 @@ _JOINT = {1: 32, 2: 10, 3: 5}  # cells a coordinate in a joint test, by the numb
 _PAIRS = 12  # cells of a statistic whose first and last values are compared: 66 pairs
 
 
-def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None, max_weight: float) -> list[Test]:
+def design(
+    law: Law,
+    draws: Position,
+    *,
+    reversible: bool,
+    deposits: Look | None,
+    max_weight: float,
+    deposited: Mapping[str, Statistic] | None = None,
+) -> list[Test]:
     """The tests for a law; `draws`, exact and used for nothing else, set the cells' ends.
 
     A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are joint cells of up to
-    three coordinates and the density. Auxiliary coordinates named "u" stay out of the joint cells.
+    three coordinates and the density. Auxiliary coordinates named "u" stay out of the joint cells. Deposits are held to
+    the law of the positions, or to what is known of their own, `deposited`; `max_weight` is the largest total weight of
+    a step over the expected one.
     """
     known = dict(law.statistics)
     columns = coordinates(draws)
@@ -36,16 +46,16 @@ def design(law: Law, draws: Position, *, reversible: bool, deposits: Look | None
     for name, statistic in known.items():
         ordered = isinstance(statistic, Continuous) or statistic.ordered
         layer = "marginal" if ordered and (name in columns or scalar) else "joint"
-        places = _places(statistic, draws) if isinstance(statistic, Continuous) else None
-        tests.append(OneSample(name, statistic, layer, places=places))
-        if deposits is not None:
-            tests.append(OneSample(name, statistic, "deposits", True, max_weight, places))
+        tests.append(OneSample(name, statistic, layer, places=_places(statistic, draws)))
+    for name, statistic in ({} if deposits is None else known if deposited is None else deposited).items():
+        tests.append(OneSample(name, statistic, "deposits", True, max_weight, _places(statistic, draws)))
+    points = coordinates(deposits.picked.points) if deposits is not None and deposits.picked is not None else {}
     for name, values in columns.items():
         column = _Column(name)
         ends = _quantiles(values, _CUTS)
         if name not in known and len(ends):
             tests.append(TwoSample(name, column, ends, ordered=bool(np.ptp(values) > 0)))
-            if deposits is not None and name in coordinates(deposits.picked.points):  # pyright: ignore
+            if deposited is None and name in points:
                 tests.append(TwoSample(name, column, ends, "deposits", deposits=True, max_weight=max_weight))
         ends = _quantiles(values, _PAIRS)
         if reversible and np.ptp(values) > 0:
@@ -148,8 +158,10 @@ class _Marginal(Continuous):
         return self.table(where)[:, self.column]
 
 
-def _places(statistic: Continuous, draws: Position) -> np.ndarray:
-    """The statistic's values at the ends of the pooled cells, as near as the draws tell."""
+def _places(statistic: Statistic, draws: Position) -> np.ndarray | None:
+    """A continuous statistic's values at the ends of the pooled cells, as near as the draws tell."""
+    if not isinstance(statistic, Continuous):
+        return None
     return np.quantile(np.asarray(statistic.value(draws), np.float64), np.linspace(0, 1, POOLED + 1))
 
 

@@ -13,7 +13,7 @@ from mcmc1d.numerics import cast, jit_with
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
-from mcmc1d.verify.law import Position, positions
+from mcmc1d.verify.law import Position, multiplexed_law, positions
 from mcmc1d.verify.subject import PICK, Look, Subject, drawn, key_of, pick
 
 
@@ -29,17 +29,25 @@ class LibrarySubject(Subject):
         self.name = _describe(kernel)
         # An involution that is accepted by the Metropolis-Hastings-Green rule satisfies detailed balance.
         self.reversible = isinstance(kernel, Metropolis) if reversible is None else reversible
+        self.most = 1.0
 
     def check(self, start: Position) -> None:
         self.kernel.check(self.target)
+        deposited = self.kernel.deposited(self.target)
+        if deposited is not None:
+            self.total, self.most = deposited.total, deposited.most
+            law = multiplexed_law(deposited.target)
+            # Of x alone: what index a deposit has is the kernel's own business.
+            self.deposited = {name: known for name, known in law.statistics.items() if name.startswith("x")}
 
     def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
         kernel, target = cast(self.kernel, self.dtype), cast(self.target, self.dtype)
-        key = key_of((*seed, first))
+        key, most = key_of((*seed, first)), jnp.asarray(self.most, self.dtype)
         state = State(jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
         done = 0
         for time in times:
-            state, points, picked = _advance_library(key, kernel, target, state, jnp.asarray(done), jnp.asarray(time))
+            span = jnp.asarray(done), jnp.asarray(time)
+            state, points, picked = _advance_library(key, kernel, target, state, span, most)
             yield Look(jax.tree.map(np.asarray, points), drawn(picked))
             done = time
 
@@ -53,9 +61,9 @@ class LibrarySubject(Subject):
 
 @jit_with(xla_cpu_prefer_vector_width=512)
 def _advance_library(
-    key: Key, kernel: Kernel, target: Multiplexed, state: State, first: Array, last: Array
+    key: Key, kernel: Kernel, target: Multiplexed, state: State, span: tuple[Array, Array], most: Array
 ) -> tuple[State, Any, Any]:
-    n, dtype = state.u.shape[0], state.u.dtype
+    n, dtype, (first, last) = state.u.shape[0], state.u.dtype, span
 
     def body(t: Array, carry: tuple[State, Any]) -> tuple[State, Any]:
         step = _library_step(key, kernel, target, carry[0], t)
@@ -68,7 +76,7 @@ def _advance_library(
     after, deposits = jax.lax.fori_loop(first, last, body, (states, none))
     points = {"index": deposits.index, "x": deposits.x}
     uniform = uniforms(key, last + PICK, (1, n), dtype)[0]
-    picked = jax.vmap(pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, jnp.ones((), dtype))
+    picked = jax.vmap(pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, most)
     where = {"index": after.index, "x": jnp.moveaxis(after.seen.x, -1, 0), "u": after.u.T}
     return State(after.index, after.u.T), where, picked
 

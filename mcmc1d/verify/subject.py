@@ -1,7 +1,7 @@
 """What is under test, brought to one form: independent replicas, started at given positions and looked at later."""
 
 import abc
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.types import Array, Key
-from mcmc1d.verify.law import Position
+from mcmc1d.verify.law import Position, Statistic
 
 PICK = 2**30
 """The counter from which on a replica's random numbers pick deposits, not steps."""
@@ -50,6 +50,12 @@ class Subject(abc.ABC):
     """To how few that may be lowered for a slow kernel."""
     threads: bool = False
     """Whether calls may run side by side."""
+    deposited: Mapping[str, Statistic] | None = None
+    """What is known exactly of the deposits, by name, where their law is not the positions'."""
+    total: float = 1.0
+    """The expected total weight of the deposits in a step."""
+    most: float | None = None
+    """The largest; None leaves it to who asks for the verification."""
 
     @abc.abstractmethod
     def check(self, start: Position) -> None:

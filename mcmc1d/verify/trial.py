@@ -57,13 +57,16 @@ class Trial:
         draws = sampler.draw("design", 0, 0, 2 * REPLICAS)
         few = jax.tree.map(lambda a: a[: subject.unit], draws)
         subject.check(few)
+        if subject.most is not None:
+            sampler.max_weight = subject.most
         look = next(iter(subject.watch(sampler.words("pilot"), 0, few, (1,))))
         self.tests = sampler.tests = design(
             sampler.law,
             draws,
             reversible=bool(subject.reversible),
             deposits=look if look.picked is not None else None,
-            max_weight=sampler.max_weight,
+            max_weight=sampler.max_weight / subject.total,
+            deposited=subject.deposited,
         )
         own = [(0, k) for k, test in enumerate(self.tests) if sampler.own(test)]
         self.keys = own + [(t, k) for t in sampler.steps for k in range(len(self.tests))]
