@@ -184,7 +184,7 @@ def walk_light(paths: Paths, u: Float[Array, " m"], vertices: int) -> Walk:
     walls, u = _of_one_kind(paths.walls, u)
     numbers, ends = u[::-1], lamps(walls)
     segment, inside = choose(ends / ends[-1], numbers[0])
-    along = walls.kept(segment, inside * walls.at(walls.length, segment))
+    along = inside * walls.at(walls.length, segment)
     place, log_place = walls.slot(segment, along), -jnp.log(ends[-1])
     # A pinhole and a single edge leave no number for a direction, and none is needed.
     out = lambert_direction(numbers[1] if len(numbers) > 1 else numbers[0])

@@ -95,7 +95,7 @@ def _eye_start(paths: Paths, u: Float[Array, " m"]) -> tuple[Vertex, Vector]:
 def _lamp_start(walls: Walls, u: Float[Array, " m"]) -> tuple[Vertex, Vector]:
     numbers, ends = u[::-1], lamps(walls)
     segment, inside = choose(ends / ends[-1], numbers[0])
-    along = walls.kept(segment, inside * walls.at(walls.length, segment))
+    along = inside * walls.at(walls.length, segment)
     frame = walls.frame(segment)
     vertex = Vertex(
         walls.point(segment, along),

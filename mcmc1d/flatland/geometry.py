@@ -156,13 +156,6 @@ class Walls(eqx.Module):
         first, beyond = self.at(self.offsets, segment), self.at(self.offsets[1:], segment)
         return limit(first + along, first, beyond - jnp.finfo(self.dtype).epsneg * beyond)
 
-    def kept(self, segment: Index, along: Scalar) -> Scalar:
-        """`along` to the last bit that its slot keeps: so a walk stands where the path that it made will be looked at.
-
-        Next to a corner, where distances are a few roundings of a slot, the two would not agree otherwise.
-        """
-        return limit(self.slot(segment, along) - self.at(self.offsets, segment), 0, self.at(self.length, segment))
-
     def bounce(self, segment: Index, pad: Scalar) -> Scalar:
         """The number of a mirror's bounce; the roundings of its own addition stay clear of the next segment's."""
         first = self.total + jnp.asarray(segment).astype(self.dtype)
@@ -179,7 +172,6 @@ class Walls(eqx.Module):
         The length of `direction` does not matter. A segment is met a few roundings beyond its ends too: two that touch
         let nothing through.
         """
-        origin, direction = jax.lax.stop_gradient((origin, direction))
         tolerance = 16 * jnp.finfo(self.dtype).eps * (self.length[-1] + self.length[-2])
 
         def nearer(best: tuple[Scalar, Index], j: Index, crossing: _Crossing) -> tuple[Scalar, Index]:
@@ -192,8 +184,9 @@ class Walls(eqx.Module):
             return jnp.where(first, distance, best[0]), jnp.where(first, j, best[1])
 
         nothing = jnp.full_like(origin.x, jnp.inf), jnp.full(jnp.shape(origin.x), self.count - 1, jnp.int32)
-        segment = self._over_segments(origin, direction, nearer, nothing)[1]
-        return Hit(segment, self.kept(segment, self._along(origin, direction, segment)))
+        # Which segment it is has no derivative; the place on it has.
+        segment = self._over_segments(*jax.lax.stop_gradient((origin, direction)), nearer, nothing)[1]
+        return Hit(segment, self._along(origin, direction, segment))
 
     def blocked(self, origin: Vector, end: Vector, leaving: Index, arriving: Index) -> Bool[Array, ""]:
         """Whether a segment other than the two stands between two points.
