@@ -172,7 +172,6 @@ class Walls(eqx.Module):
         The length of `direction` does not matter. A segment is met a few roundings beyond its ends too: two that touch
         let nothing through.
         """
-        origin, direction = jax.lax.stop_gradient((origin, direction))
         tolerance = 16 * jnp.finfo(self.dtype).eps * (self.length[-1] + self.length[-2])
 
         def nearer(best: tuple[Scalar, Index], j: Index, crossing: _Crossing) -> tuple[Scalar, Index]:
@@ -185,7 +184,8 @@ class Walls(eqx.Module):
             return jnp.where(first, distance, best[0]), jnp.where(first, j, best[1])
 
         nothing = jnp.full_like(origin.x, jnp.inf), jnp.full(jnp.shape(origin.x), self.count - 1, jnp.int32)
-        segment = self._over_segments(origin, direction, nearer, nothing)[1]
+        # Which segment it is has no derivative; the place on it has.
+        segment = self._over_segments(*jax.lax.stop_gradient((origin, direction)), nearer, nothing)[1]
         return Hit(segment, self._along(origin, direction, segment))
 
     def blocked(self, origin: Vector, end: Vector, leaving: Index, arriving: Index) -> Bool[Array, ""]:

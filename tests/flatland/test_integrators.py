@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mcmc1d.flatland import Bidirectional, Light, Material, Paths, Pinhole, Scene, Segment, Wall
-from mcmc1d.flatland.integrators import INTEGRATORS, MMLT, RJMLT, LightTracing, PathTracing, integrate
+from mcmc1d.flatland.integrators import MMLT, RJMLT, LightTracing, PathTracing, integrate
 from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import polygon, scene
@@ -30,9 +30,7 @@ def room(sensor):
     return Scene("room", tuple(replace(side, name=f"w{k}") for k, side in enumerate(sides)), sensor)
 
 
-@pytest.mark.parametrize(
-    ("of", "edges"), [(room(Wall("w1")), 3), (room(Pinhole((0.5, 0.5), (1, 0.3), 0.7)), 4), (scene("box"), 1)]
-)
+@pytest.mark.parametrize(("of", "edges"), [(room(Wall("w1")), 2), (room(Pinhole((0.5, 0.5), (1, 0.3), 0.7)), 3)])
 def test_one_look_at_a_state_finds_what_two_walks_and_two_looks_do(of, edges):
     """Sample, forgotten numbers, light and all densities of every technique; mirrors, lobes, blocked joints."""
     family = Bidirectional(Paths(of, edges))
@@ -44,21 +42,18 @@ def test_one_look_at_a_state_finds_what_two_walks_and_two_looks_do(of, edges):
         both = jax.jit(jax.vmap(lambda i, u: (family.look(light, i, u), apart(family, light, i, u))))
         one, other = jax.tree.map(np.asarray, both(index, u))
     dark = np.isneginf(other[3])
-    assert edges == 1 or 0.1 < dark.mean() < 0.9
+    assert 0.1 < dark.mean() < 0.9
     for found, known in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-9)
 
 
-# Samples and, with them, what the test must be able to find of an error in any of four pixels.
-BUDGET = dict.fromkeys(INTEGRATORS, 2**18) | {"pssmlt_sum": 2**16, "pssmlt_max": 2**16}
-
-
-@pytest.mark.parametrize("name", [name for name in INTEGRATORS if name not in ("bdpt_power", "pssmlt_max")])
+# The others are the right twins of `test_mutants`.
+@pytest.mark.parametrize("name", ["pt", "bdpt_maximum", "pssmlt_sum", "rjmlt_aimed"])
 def test_the_box_by_two_edges(name):
     """Would have caught 30 % in any pixel with probability 0.99; and the number of techniques left out is caught."""
     box = scene("box").with_pixels(4)
     exact = image(box, 2)
-    found = integrate(jax.random.key(7), name, box, lengths=(2,), samples=BUDGET[name])
+    found = integrate(jax.random.key(7), name, box, lengths=(2,), samples=2**16 if name == "pssmlt_sum" else 2**18)
     at = slice(1, 2)
     result = compare(found, exact.values[at], exact.errors[at])
     assert result.agrees, result.excess

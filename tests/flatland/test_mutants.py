@@ -14,7 +14,7 @@ from mcmc1d.flatland.mutants import LAYERS, mutants
 from mcmc1d.flatland.reference import image
 
 KNOWN = mutants()
-_EXACT = {}
+_EXACT, _RIGHT = {}, {}
 
 
 def exact(of, lengths):
@@ -34,7 +34,10 @@ def agrees(mutant, integrator):
 @pytest.mark.parametrize("name", [name for name, mutant in KNOWN.items() if mutant.layer == "image"])
 def test_the_exact_image_catches(name):
     mutant = KNOWN[name]
-    assert agrees(mutant, mutant.right)
+    twin = f"{mutant.right} {mutant.scene.name} {mutant.samples}"  # which several mutants have in common
+    if twin not in _RIGHT:
+        _RIGHT[twin] = agrees(mutant, mutant.right)
+    assert _RIGHT[twin]
     assert not agrees(mutant, mutant.subject)
 
 

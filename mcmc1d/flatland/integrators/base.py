@@ -85,7 +85,7 @@ def exposed(key: Key, target: Multiplexed, paths: Paths, samples: int, bound: fl
 
 
 def bootstrap(key: Key, target: Multiplexed, samples: int, bound: float) -> Sums:
-    """The same without a film: the integral of whatever `target` is, `Pooled` included."""
+    """The same without a film, as sums of shape (1,): the integral of whatever `target` is, `Pooled` included."""
     return _sums(key, target, None, samples, bound)
 
 
@@ -99,8 +99,6 @@ def _sums(key: Key, target: Multiplexed, paths: Paths | None, samples: int, boun
         total, squares = (
             old + np.asarray(new, np.float64).sum(-1) for old, new in zip((total, squares), lanes, strict=True)
         )
-    if paths is None:
-        total, squares = total[0], squares[0]
     if not np.all(np.isfinite(squares)):
         raise ValueError("the light of a path is NaN or infinite; look at the scene for a lamp of infinite emission")
     return Sums(steps * _LANES, total, squares, bound)

@@ -74,7 +74,7 @@ class Metropolised(Integrator):
         b = bootstrap(b_key, target, int(self.spent_on_b * samples), most * brightest(scene, edges))
         pixels = float(paths.sensor.pixels)
         per_b = self.rays(target, paths, {})[1] * b.size
-        if b.total == 0:
+        if not b.total.any():
             nothing = np.zeros(paths.sensor.pixels)
             return Layer(edges, pixels, Sums(b.size, nothing, nothing, b.bound), None, per_b)
         steps = max(1, -(-samples // self.chains))

@@ -39,7 +39,7 @@ class Layer(NamedTuple):
     deposits: Sums
     """Of each pixel, (pixels,)."""
     normaliser: Sums | None
-    """Of b, the integral of what a chain samples, from independent samples; None where nothing is normalised."""
+    """Of b, (1,), the integral of what a chain samples, from independent samples; None where nothing is normalised."""
     rays: float
     """Rays traced, those for b included; see `Integrator`."""
 

@@ -131,14 +131,14 @@ def _one_technique(right: Integrator, scene: Scene, layer: Layer) -> float:
 def _to_b(right: Integrator, scene: Scene, layer: Layer) -> float:
     """To the mean of a right image: b by itself says nothing of where the light is."""
     target = BidirectionalPathTracing().target(Paths(scene, layer.edges))
-    b = bootstrap(_key(), target, 2**18, 1.0).mean
+    b = bootstrap(_key(), target, 2**18, 1.0).mean.item()
     return float(b / layer.value.mean())
 
 
 def _b_of_the_sum(right: Integrator, scene: Scene, layer: Layer) -> float:
     target = BidirectionalPathTracing().target(Paths(scene, layer.edges))
     assert layer.normaliser is not None
-    return float(bootstrap(_key(), target, 2**18, 1.0).mean / layer.normaliser.mean)
+    return bootstrap(_key(), target, 2**18, 1.0).mean.item() / layer.normaliser.mean.item()
 
 
 def _per_pixel(right: Integrator, scene: Scene, layer: Layer) -> float:
