@@ -22,6 +22,7 @@ from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import RJMLT
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
+from mcmc1d.metropolis import Kernel
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array
 
@@ -40,8 +41,8 @@ class Config:
     pixels: int = 16
     acceptance_scene: str = "box"
     acceptance_longest: int = 5
-    acceptance_chains: int = 1024
-    acceptance_steps: int = 256
+    states: int = 2**14
+    """Exact ones at each length, with a proposal of one of four kinds each."""
     sigma: float = 0.05
     large: float = 0.1
     """The paper's share of large steps; small ones are what these and the jumps leave."""
@@ -62,7 +63,7 @@ PROFILES = {
         shortest=3,
         longest=6,
         acceptance_longest=10,
-        acceptance_steps=2048,
+        states=2**18,
         runs=256,
         doublings=10,
     ),
@@ -70,7 +71,6 @@ PROFILES = {
 
 SHOWN = ("keep", "change", "jump", "aimed")
 """The moves whose acceptance is shown."""
-_STATES = 2**13  # exact ones, from which the jump's acceptance is predicted
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
@@ -106,43 +106,34 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
 
 
 def accepted(edges: int, fields: dict[str, Any], seed: int) -> dict[str, Any]:
-    """Figure 4 at one path length, from exact starts: the law is the same for any mix of moves that keep it."""
+    """Figure 4 at one path length: a proposal from each of many exact states, as a chain makes them on average."""
     config = Config(**fields)
     paths = Paths(scene(config.acceptance_scene).with_pixels(config.pixels), edges)
     target, key = RJMLT().target(paths), jax.random.fold_in(jax.random.key(seed), edges)
-    small = (1 - config.large - 2 * config.jump) / 2
-    mix = {"large": config.large, "keep": small, "change": small, "jump": config.jump, "aimed": config.jump}
     change = mixes(target.n_techniques, config.sigma, config.large, config.jump)[METHODS[0]][1]
-    ran = mcmc1d.run(
-        jax.random.fold_in(key, 0),
-        mixed_kernel(config.sigma, mix, change),
-        target,
-        steps=config.acceptance_steps,
-        chains=config.acceptance_chains,
-        blocks=8,
-        estimators={"acceptance": mcmc1d.Acceptance()},
-    )
-    sums, counts = ran.sums["acceptance"]
-    of_block = sums / counts
-    shown = [MOVES.index(name) for name in SHOWN]
-    of_state = np.asarray(_jumps(target, mcmc1d.exact_start(jax.random.fold_in(key, 1), target, _STATES)), np.float64)
-    return {
-        "acceptance": (sums.sum(0) / counts.sum(0))[shown].tolist(),
-        "error": (of_block.std(0, ddof=1) / np.sqrt(len(of_block)))[shown].tolist(),
-        "predicted": float(of_state.mean()),
-        "predicted_error": float(of_state.std(ddof=1) / np.sqrt(len(of_state))),
-    }
+    kernel = mixed_kernel(config.sigma, {move: 1 / len(SHOWN) for move in SHOWN}, change)
+    states = mcmc1d.exact_start(jax.random.fold_in(key, 0), target, config.states)
+    w = jax.random.uniform(jax.random.fold_in(key, 1), (config.states, kernel.dim_w(target)), states.u.dtype)
+    kind, chance, predicted = (np.asarray(part) for part in _proposals(kernel, target, states, w))
+    each = [chance[kind == MOVES.index(move)].astype(np.float64) for move in SHOWN] + [predicted.astype(np.float64)]
+    mean, error = [float(a.mean()) for a in each], [float(a.std(ddof=1) / np.sqrt(len(a))) for a in each]
+    return {"acceptance": mean[:-1], "error": error[:-1], "predicted": mean[-1], "predicted_error": error[-1]}
 
 
 @eqx.filter_jit
-def _jumps(target: Multiplexed, states: State) -> Array:
-    """The chance that a uniform jump is accepted at x, whichever technique made it: sum_ij min(w_i, w_j) / n."""
+def _proposals(kernel: Kernel, target: Multiplexed, states: State, w: Array) -> tuple[Array, Array, Array]:
+    """Of each state: which kind of move is proposed, with what chance it is accepted, and that of a uniform jump.
 
-    def one(state: State) -> Array:
-        w = jnp.exp(jnp.stack(list(target.log_weights(state.seen.x, state.seen.log_p))))
-        return jnp.minimum(w[:, None], w[None]).sum() / target.n_techniques
+    The last is predicted, from the weights at x alone: sum_ij min(w_i, w_j) / n, whichever technique made x.
+    """
 
-    return jax.vmap(one)(states)
+    def one(state: State, w: Array) -> tuple[Array, Array, Array]:
+        info = kernel.step(target, state, w).info
+        share = jnp.exp(jnp.stack(list(target.log_weights(state.seen.x, state.seen.log_p))))
+        predicted = jnp.minimum(share[:, None], share[None]).sum() / target.n_techniques
+        return info.kind[0], info.acceptance[0], predicted
+
+    return jax.vmap(one)(states, w)
 
 
 def converge(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[str, Any]:

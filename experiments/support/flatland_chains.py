@@ -12,7 +12,6 @@ from scipy.special import ndtr
 import mcmc1d
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
-from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.metropolis import Kernel, Metropolis, Step
 from mcmc1d.moves import AimedJump, LargeStep, Mixture, ReversibleJump, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.state import Multiplexed, State
@@ -85,6 +84,28 @@ def mixed_kernel(sigma: float, mix: Mapping[str, float], matrix: np.ndarray) -> 
     return Metropolis(Mixture({name: (mix.get(name, 0.0), move) for name, move in zip(MOVES, moves, strict=True)}))
 
 
+class Film(Estimator):
+    """The deposits of each chain in each pixel, (pixels, chains)."""
+
+    paths: Paths
+    chains: int = eqx.field(static=True)
+
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "n c"]:
+        return jnp.zeros((self.paths.sensor.pixels, self.chains), dtype)
+
+    def update(self, sums: Float[Array, "n c"], steps: Step) -> Float[Array, "n c"]:
+        pixel, weight = _pixels(self.paths, steps), steps.deposits.weight
+        row = jnp.arange(self.paths.sensor.pixels)[:, None]
+        for k in range(weight.shape[0]):  # by comparison: a scatter of one deposit a chain would be slower
+            sums = sums + jnp.where(pixel[k][None] == row, weight[k][None], 0)
+        return sums
+
+
+def _pixels(paths: Paths, steps: Step) -> Array:
+    """The pixel of each deposit of each chain, by one program however many there are."""
+    return jax.vmap(jax.vmap(paths.pixel, in_axes=-1))(steps.deposits.x)
+
+
 class Usage(Estimator):
     """The deposits' weight by technique: of each chain, (techniques, chains), and by pixel, (techniques, pixels)."""
 
@@ -99,12 +120,10 @@ class Usage(Estimator):
     def update(self, sums: tuple[Array, Array], steps: Step) -> tuple[Array, Array]:
         each, film = sums
         deposits, row = steps.deposits, jnp.arange(self.techniques)[:, None]
-        for k in range(deposits.weight.shape[0]):
-            index, weight = deposits.index[k], deposits.weight[k]
-            pixel = jax.vmap(self.paths.pixel, in_axes=-1)(deposits.x[k])
+        for index, weight in zip(deposits.index, deposits.weight, strict=True):
             each = each + jnp.where(index[None] == row, weight[None], 0)
-            film = film.at[index, pixel].add(weight, mode="promise_in_bounds")
-        return each, film
+        where = deposits.index, _pixels(self.paths, steps)
+        return each, film.at[where].add(deposits.weight, mode="promise_in_bounds")
 
 
 class Lit(Estimator):
@@ -144,7 +163,7 @@ def films(
     start: State | None = None,
 ) -> Films:
     """Run chains from `start`, or exact starts; `checkpoints`: rising numbers of steps, to look at films after."""
-    asked = {"film": EachChain(paths, chains), **estimators}
+    asked = {"film": Film(paths, chains), **estimators}
     total, others, seen, done = 0, {}, [], 0
     kinds: tuple[str, ...] = ()
     for k, steps in enumerate(checkpoints):
