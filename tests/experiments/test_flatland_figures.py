@@ -1,0 +1,63 @@
+"""What the figures of flatland compute apart from chains: proposals of techniques, and errors at equal rays."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from experiments.flatland_mmlt import INTEGRATORS, at_equal_rays
+from experiments.flatland_rjmlt import MOVES
+from experiments.support.flatland_chains import close, mixes, others
+
+
+@pytest.mark.parametrize(("n", "sigma"), [(2, 0.05), (5, 0.05), (12, 0.05), (4, 0.7)])
+def test_a_small_step_proposes_techniques_as_often_as_its_floor_does(n, sigma):
+    """Against a million numbers that step: 1e-8 false alarms in n entries (6 s.e.), which see 0.3 / sqrt(size / n)."""
+    rng, size = np.random.default_rng(1), 10**6
+    v = rng.random(size)
+    there = (v + sigma * rng.standard_normal(size)) % 1
+    first = np.floor(n * v).astype(int) == 0
+    measured = np.bincount(np.floor(n * there[first]).astype(int), minlength=n) / first.sum()
+    matrix = close(n, sigma)
+    assert np.all(np.abs(matrix[0] - measured) < 6 * np.sqrt(matrix[0] * (1 - matrix[0]) / first.sum()) + 1e-9)
+    assert np.array_equal(matrix, matrix.T)
+    assert np.allclose(matrix.sum(1), 1, atol=1e-12)
+    # A twin that must fail: all techniques alike.
+    if sigma < 0.5:
+        assert np.abs(1 / n - measured).max() > 0.05
+
+
+def test_each_method_is_a_mixture_and_a_change_changes():
+    for mix, matrix in mixes(5, 0.05, 0.1, 0.05).values():
+        assert set(mix) <= set(MOVES)
+        assert sum(mix.values()) == pytest.approx(1)
+        assert not np.diag(matrix).any()
+        assert np.array_equal(matrix, matrix.T)
+        assert np.allclose(matrix.sum(1), 1)
+
+
+def test_keeping_and_changing_together_are_the_small_step_of_mmlt():
+    mix, matrix = mixes(5, 0.05, 0.1, 0.05)["MMLT"]
+    together = (mix["keep"] * np.eye(5) + mix["change"] * matrix) / 0.9
+    assert np.allclose(together, close(5, 0.05), atol=1e-12)
+    assert not np.allclose(others(close(5, 0.05)), close(5, 0.05), atol=0.1)
+
+
+def test_errors_are_compared_at_equal_rays():
+    """An error of 1 / sqrt(rays), of images whose rays differ: the same for all where the rays are."""
+    mutations = np.array([64, 128, 256])
+    cost = 1 + 0.3 * np.arange(len(INTEGRATORS))
+    rays = (cost[:, None] * mutations).astype(float)
+    dims = ("integrator", "mutations")
+    data = xr.Dataset(
+        {
+            "reference": (("edges", "pixel"), np.full((1, 4), 2.0)),
+            "mse": (("edges", *dims, "pixel"), np.broadcast_to(4.0 / rays[None, ..., None], (1, *rays.shape, 4))),
+            "noise": (("edges", *dims), 0.1 * 4.0 / rays[None]),
+            "rays": (("edges", *dims), rays[None]),
+        },
+        {"integrator": list(INTEGRATORS), "mutations": mutations},
+    )
+    at, error, noise = at_equal_rays(data)
+    assert at == 256
+    assert all(one == pytest.approx(1 / 16) for one in error.values())
+    assert noise["BDPT"] == pytest.approx(0.05)
