@@ -429,7 +429,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         ),
     ]
     for rivals, name, expected in (
-        # Expected is what was found in the plane, where theory says nothing: behind walls and by way of mirrors a sample
+        # Expected is what was found in the plane, where theory says nothing: behind walls and by mirrors a sample
         # of BDPT brings light in 4 to 7 % of cases, and there is little that only a chain would find.
         (CHAINS[:2], "plane.mmlt-against-pssmlt", "fails"),
         (INDEPENDENT, "plane.mmlt-against-independent", "fails"),
