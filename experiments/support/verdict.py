@@ -4,3 +4,10 @@
 def verdict(condition: bool) -> str:
     """What to say of a claim that was found to be true, or not to be."""
     return "holds" if condition else "fails"
+
+
+def among(true: dict[str, bool]) -> str:
+    """The same of what was looked at in several scenes."""
+    if all(true.values()) or not any(true.values()):
+        return verdict(all(true.values()))
+    return f"holds if the scene is {' or '.join(name for name, yes in true.items() if yes)}"
