@@ -31,7 +31,7 @@ class Config:
     integrators: str = "pt bdpt mmlt rjmlt"
     mutants: str = "r_squared techniques_missing"
     lengths: int = 2
-    log2_samples: int = 18
+    log2_samples: int = 22
     """Of each length: paths or mutations."""
     pixels: int = 16
 

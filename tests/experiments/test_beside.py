@@ -38,7 +38,7 @@ def test_the_command_gives_each_experiment_its_own_process_but_those_that_measur
         return 1
 
     monkeypatch.setattr(command_line, "side_by_side", stub)
-    monkeypatch.setattr(command_line, "keep_compiled", lambda folder: None)
+    monkeypatch.setattr(command_line, "keep_compiled", lambda *_: None)
     names = ["verification_speed", "calibration", "cmlt_deposit_bias"]
     options = ["--profile", "paper", "--seed", "3", "--out", str(tmp_path), "--resume"]
     monkeypatch.setattr("sys.argv", ["experiments", "run", *names, "--jobs", "2", *options])

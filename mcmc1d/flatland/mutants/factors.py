@@ -197,11 +197,11 @@ MUTANTS = {
         scene=two_lamps(),
     ),
     "maximum_by_b_of_sum": Mutant(
-        Rescaled(PSSMLT(combine="maximum", chains=1024), _b_of_the_sum),
-        PSSMLT(combine="maximum", chains=1024),
+        Rescaled(PSSMLT(combine="maximum", chains=2**13), _b_of_the_sum),
+        PSSMLT(combine="maximum", chains=2**13),
         "the maximum's chain normalised by the integral of the sum",
         "Hachisuka et al. 2014, Alg. 1, with another scalar contribution than b's",
-        samples=2**15,
+        samples=2**19,
     ),
     "splat_scale": Mutant(
         Rescaled(LightTracing(), _per_pixel),

@@ -113,8 +113,10 @@ def _clamped() -> Kernel:
 
 
 def _jump_mutant(power: float, mistake: str, origin: str) -> Mutant:
-    right = RJMLT(jump=0.5, chains=1024, spent_on_b=1.0)
-    return Mutant(WrongKernel(right=right, other=_jumping(power)), right, mistake, origin)
+    # Few pixels are off by more than a tenth: what a deviation may be is bounded by the number of chains.
+    right = RJMLT(jump=0.5, chains=2**14, spent_on_b=1.0)
+    wrong = WrongKernel(right=right, other=_jumping(power), chains=right.chains)
+    return Mutant(wrong, right, mistake, origin, samples=2**21)
 
 
 MUTANTS = {
