@@ -114,9 +114,9 @@ def _clamped() -> Kernel:
 
 def _jump_mutant(power: float, mistake: str, origin: str) -> Mutant:
     # Few pixels are off by more than a tenth: what a deviation may be is bounded by the number of chains.
-    right = RJMLT(jump=0.5, chains=2**14, spent_on_b=1.0)
+    right = RJMLT(jump=0.5, chains=2**16, spent_on_b=1.0)
     wrong = WrongKernel(right=right, other=_jumping(power), chains=right.chains)
-    return Mutant(wrong, right, mistake, origin, samples=2**21)
+    return Mutant(wrong, right, mistake, origin, samples=2**22)
 
 
 MUTANTS = {
