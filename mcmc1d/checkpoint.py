@@ -139,8 +139,8 @@ def describe(tree: Any) -> str:
     for leaf in leaves:
         if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             digest.update(_plain(leaf.dtype).encode())
-            leaf = jax.random.key_data(leaf)  # noqa: PLW2901
-        if isinstance(leaf, np.ndarray | np.generic | jax.Array):
+            digest.update(np.asarray(jax.random.key_data(leaf)).tobytes())
+        elif isinstance(leaf, np.ndarray | np.generic | jax.Array):
             array = np.ascontiguousarray(leaf)
             digest.update(f"{array.dtype} {array.shape} ".encode() + array.tobytes())
         else:

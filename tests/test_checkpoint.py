@@ -25,7 +25,10 @@ def many_drains(monkeypatch):
     monkeypatch.setattr(chain, "_STEPS_PER_DRAIN", 8)
 
 
-def short(path=None, *, seed=0, move=moves.SmallStep(), function=lambda x: x, **changes):  # noqa: B008
+SMALL = moves.SmallStep()
+
+
+def short(path=None, *, seed=0, move=SMALL, function=lambda x: x, **changes):
     arguments = {"steps": 44, "chains": 64, "blocks": 4, "every": 0.0, **changes}
     estimators = {"h": mcmc1d.Histogram(20, joint=True), "e": mcmc1d.Expectation(function)}
     return mcmc1d.run(

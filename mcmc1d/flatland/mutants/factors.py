@@ -91,8 +91,8 @@ class Tampered(Family):
         chosen = jnp.log(walls.at(walls.length, segment) / lamps(walls)[-1])
         own, found = pick(log_p, index), []
         for t, p in zip(self.right.lengths, log_p, strict=True):
-            p = p + (wrong.measure * to_places if t == k + 1 else wrong.lamps * chosen)  # noqa: PLW2901
-            found.append(jnp.where(jnp.isneginf(p) & (wrong.mirrors > 0), own, p))
+            tampered = p + (wrong.measure * to_places if t == k + 1 else wrong.lamps * chosen)
+            found.append(jnp.where(jnp.isneginf(tampered) & (wrong.mirrors > 0), own, tampered))
         return x, v, log_det, log_f, tuple(found)
 
 
