@@ -3,9 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -14,23 +12,14 @@ from matplotlib.ticker import NullLocator
 from rich.box import SIMPLE
 from rich.table import Table
 
-from experiments.support.flatland_chains import METHODS, Lit, Usage, close, films, multiplexed_kernel
+from experiments.support.flatland_rivals import CHAINS, INDEPENDENT, INTEGRATORS, Rivals
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import among, verdict
-from mcmc1d.chain import exact_start
-from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import BidirectionalPathTracing
-from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT
-from mcmc1d.flatland.integrators.image import Sums
 from mcmc1d.flatland.reference import image
-from mcmc1d.flatland.scene import Scene
 from mcmc1d.flatland.scenes import scene
-from mcmc1d.numerics import cast
-from mcmc1d.random import uniforms
-from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Key
 
 SOURCE = "Hachisuka et al. 2014"
 
@@ -66,11 +55,6 @@ PROFILES = {
         scenes="door glossy_corner mirror_caustic", shortest=3, longest=6, runs=256, doublings=9, samples=2**23
     ),
 }
-
-INDEPENDENT = ("PT", "LT", "BDPT")
-CHAINS = ("PSSMLT, sum", "PSSMLT, max", *METHODS[:2])
-INTEGRATORS = (*INDEPENDENT, *CHAINS)
-_BATCH = 2**14
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
@@ -112,144 +96,14 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[st
             "mse": none[..., None] * dark[0],
         }
     else:
-        parts = _Parts(config, shown, paths, every, reference, np.array(_steps(config)))
-        independent, of_technique = parts.independent(jax.random.fold_in(key, 0))
-        chains, of_chains = parts.chains(jax.random.fold_in(key, 1))
+        work = config.sigma, config.large, config.runs, config.samples
+        rivals = Rivals(paths, every, reference, np.array(_steps(config)), *work)
+        independent, of_technique = rivals.independent(jax.random.fold_in(key, 0))
+        chains, of_chains = rivals.chains(jax.random.fold_in(key, 1))
         rows = independent + chains
         found |= {part: np.stack([row[part] for row in rows]) for part in ("value", "error", "mse", "noise", "rays")}
         found |= of_technique | of_chains
     return {part: np.asarray(value).tolist() for part, value in found.items()}
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """What all integrators of one scene and length share."""
-
-    config: Config
-    scene: Scene
-    paths: Paths
-    every: Multiplexed
-    reference: np.ndarray
-    steps: np.ndarray
-
-    @property
-    def b(self) -> float:
-        return float(self.reference.mean())
-
-    def independent(self, key: Key) -> tuple[list[dict[str, np.ndarray]], dict[str, Any]]:
-        """Path tracing, light tracing and BDPT, whose error after N samples follows from their variance.
-
-        Also figure 5's contribution of each technique, and the relative variance of a sample of b by BDPT.
-        """
-        pixels, n = float(self.config.pixels), self.every.n_techniques
-        techniques = {"PT": range(n - 2, n), "LT": range(1 + self.paths.sensor.places), "BDPT": range(n)}
-        rows, sums = [], {}
-        for k, who in enumerate(INDEPENDENT):
-            own, mask = jax.random.fold_in(key, k), np.isin(np.arange(n), techniques[who])
-            total, squares, size = contributions(own, self.every, self.paths, mask, self.config.samples)
-            film = Sums(size, total.sum(0), squares.sum(0), np.inf)
-            sums[who] = total, squares, size
-            rows.append(
-                {
-                    "value": pixels * film.mean,
-                    "error": pixels * film.error,
-                    "mse": pixels**2 * film.variance / self.steps[:, None],
-                    "noise": np.zeros(len(self.steps)),
-                    "rays": self.paths.edges * self.steps,
-                }
-            )
-        total, squares, size = sums["BDPT"]
-        by_technique = Sums(size, total.sum(1), squares.sum(1), np.inf)
-        found = {
-            "contribution": by_technique.mean / self.b,
-            "contribution_error": by_technique.error / self.b,
-            "contribution_film": total / size / self.b,
-            "b_variance": Sums(size, total.sum(), squares.sum(), np.inf).variance / self.b**2,
-        }
-        return rows, found
-
-    def chains(self, key: Key) -> tuple[list[dict[str, np.ndarray]], dict[str, np.ndarray]]:
-        """Runs of one chain each, to which b is known.
-
-        What PSSMLT with the maximum is multiplied by, less than b, follows from what all of its runs deposit together.
-        """
-        config, pixels, n = self.config, float(self.config.pixels), self.every.n_techniques
-        exact = exact_start(jax.random.fold_in(key, len(CHAINS)), self.every, config.runs)
-        matrices = {METHODS[0]: close(n, config.sigma), METHODS[1]: np.full((n, n), 1 / n)}
-        rows, found = [], {}
-        for k, who in enumerate(CHAINS):
-            estimators: dict[str, Estimator] = {"lit": Lit(config.runs)}
-            start = exact
-            if who in matrices:
-                one, target = MMLT(), self.every
-                kernel = multiplexed_kernel(config.sigma, config.large, matrices[who])
-                estimators["usage"] = Usage(self.paths, config.runs, n)
-            else:
-                combine = "sum" if who.endswith("sum") else "maximum"
-                one = PSSMLT(combine=combine, sigma=config.sigma, large=config.large)
-                target, kernel = one.target(self.paths), one.kernel()
-                # The density of u alone under MMLT's law is the sum, so that its exact starts are exact here.
-                start = State(jnp.zeros_like(exact.index), exact.u) if combine == "sum" else None
-            each = one.rays(target, self.paths, {"mutation": 1.0})[0]
-            own = jax.random.fold_in(key, k)
-            ran = films(own, kernel, target, self.paths, config.runs, self.steps.tolist(), estimators, start)
-            images = pixels * self.b * ran.films
-            if who == "PSSMLT, max":
-                images /= ran.films[-1].sum(-1).mean()
-            off = (images - self.reference) ** 2
-            lit = ran.sums["lit"] / self.steps[-1]
-            rows.append(
-                {
-                    "value": images[-1].mean(0),
-                    "error": _error(images[-1].T),
-                    "mse": off.mean(1),
-                    "noise": _error(off.mean(-1)),
-                    "rays": each * self.steps,
-                    "effective": lit.mean(),
-                    "effective_error": _error(lit),
-                }
-            )
-            if who == METHODS[0]:
-                shares, film = (part / self.steps[-1] for part in ran.sums["usage"])
-                found = {"usage": shares.mean(1), "usage_error": _error(shares), "usage_film": film / config.runs}
-        found |= {part: np.stack([row[part] for row in rows]) for part in ("effective", "effective_error")}
-        return rows, found
-
-
-def _error(of_runs: np.ndarray) -> np.ndarray:
-    """The standard error of the mean over runs, the last axis."""
-    return of_runs.std(-1, ddof=1) / np.sqrt(of_runs.shape[-1])
-
-
-def contributions(
-    key: Key, target: Multiplexed, paths: Paths, mask: np.ndarray, samples: int
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Sums of what each technique of `mask` puts into each pixel, (techniques, pixels); of squares; of how many.
-
-    Multiple importance sampling by those techniques alone, with the balance heuristic, each as often as another.
-    """
-    batches = max(1, -(-samples // _BATCH))
-    chosen = jnp.asarray(np.resize(np.flatnonzero(mask), len(mask))), jnp.asarray(int(mask.sum()))
-    found = [_contributions(key, target, paths, jnp.asarray(mask), chosen, jnp.asarray(k)) for k in range(batches)]
-    total, squares = (np.sum([np.asarray(one[part], np.float64) for one in found], axis=0) for part in (0, 1))
-    return total, squares, batches * _BATCH
-
-
-@eqx.filter_jit
-def _contributions(
-    key: Key, target: Multiplexed, paths: Paths, mask: Array, chosen: tuple[Array, Array], batch: Array
-) -> tuple[Array, Array]:
-    dtype = jnp.zeros(()).dtype
-    target, paths = cast((target, paths), dtype)
-    numbers, (members, count) = uniforms(key, batch, (target.dim_u + 1, _BATCH), dtype), chosen
-    index = members[jnp.minimum((numbers[0] * count).astype(jnp.int32), count - 1)]
-    seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:])).seen
-    p = jnp.where(mask[:, None], jnp.exp(jnp.stack(seen.log_p)), 0).sum(0)
-    lit = (seen.log_c > -jnp.inf) & (p > 0)
-    value = jnp.where(lit, count * jnp.exp(seen.log_f) / jnp.where(lit, p, 1), 0)
-    pixel = jax.vmap(paths.pixel, in_axes=-1)(seen.x)
-    zeros = jnp.zeros((target.n_techniques, paths.sensor.pixels), dtype)
-    return zeros.at[index, pixel].add(value), zeros.at[index, pixel].add(value * value)
 
 
 def _dataset(found: dict[str, Any]) -> xr.Dataset:

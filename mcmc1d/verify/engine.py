@@ -53,8 +53,8 @@ def verify(
             affords is reported.
         power: the probability with which the gap is detected.
         seconds: what a first stage may take, in stepping and counting; compiling comes on top, and so do further
-            stages, the second four times as large where that is cheap, which a right kernel needs with a probability
-            of 0.04. One that needs less takes less.
+            stages, which a right kernel needs with a probability of 0.04: as large, or four times as large where that
+            takes less than `seconds` too. One that needs less takes less.
         replicas: how many in the first stage, whatever that takes; INCONCLUSIVE where they do not show the `gap`.
         steps: after how many steps the law is tested.
         reversible: declare detailed balance, so that (first, last) must be exchangeable. Declared for moves of this

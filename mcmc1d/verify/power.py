@@ -1,7 +1,16 @@
 """Which errors the sequential scheme finds, and with what probability."""
 
-from mcmc1d.verify.battery import Test
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mcmc1d.verify.battery import OneSample, Test
+from mcmc1d.verify.design import auxiliary
 from mcmc1d.verify.ledger import Scheme
+
+LEAST = 16
+"""The fewest replicas of a first stage."""
 
 _LATER = 0.01  # the share of the probability of a miss that is left to the second stage, which has draws to spare
 
@@ -21,3 +30,42 @@ def detectable(test: Test, scheme: Scheme, tests: int, n: int, grow: int, power:
     goes_on = test.gap(n, (scheme.gamma + scheme.first) / tests, (1 - _LATER) * miss)
     then_fails = test.gap(grow * n, scheme.beta(2) / tests, _LATER * miss)
     return at_once if goes_on is None or then_fails is None else min(at_once, max(goes_on, then_fails))
+
+
+@dataclass(frozen=True)
+class Power:
+    """What so many replicas show, of all tests of a verification."""
+
+    scheme: Scheme
+    tests: Sequence[Test]
+    looks: int
+    """p-values in a stage: of every test after each number of steps."""
+    power: float
+    """The probability with which a gap is to be detected."""
+
+    def detectable(self, test: Test, n: int, grow: int) -> float | None:
+        """The smallest gap that a test shows, of n replicas in the first stage; None if none is meant."""
+        return detectable(test, self.scheme, self.looks, n, grow, self.power)
+
+    def gap(self, n: int, grow: int, *, known: bool = False) -> float:
+        """The smallest gap that n replicas detect in any coordinate, or in those alone whose CDF is `known`.
+
+        Infinite where no coordinate is ordered.
+        """
+        tests = self.headline
+        if known:
+            tests = [test for test in tests if isinstance(test, OneSample)] or tests
+        gaps = [self.detectable(test, n, grow) for test in tests]
+        return max((g for g in gaps if g is not None), default=np.inf)
+
+    def replicas(self, gap: float, grow: int, *, known: bool) -> int:
+        """How many show the gap."""
+        n = LEAST
+        while self.gap(n, grow, known=known) > gap and n < 2**27:
+            n = int(n * 1.02) + 1
+        return n
+
+    @property
+    def headline(self) -> list[Test]:
+        """The tests of the coordinates' own laws, those of a chain's primary sample left out."""
+        return [test for test in self.tests if test.layer == "marginal" and not auxiliary(test.name)]

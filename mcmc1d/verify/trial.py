@@ -7,14 +7,14 @@ import jax
 import numpy as np
 
 from mcmc1d.numerics import require
-from mcmc1d.verify.battery import OneSample, Test, TwoSample, coordinates
+from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
 from mcmc1d.verify.design import auxiliary, design
 from mcmc1d.verify.diagnose import diagnose
 from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.ledger import Scheme
 from mcmc1d.verify.library import LibrarySubject
-from mcmc1d.verify.power import detectable
+from mcmc1d.verify.power import LEAST, Power
 from mcmc1d.verify.report import Report, Result, Verdict
 from mcmc1d.verify.sampler import Sampler, Tally
 
@@ -37,7 +37,8 @@ class Trial:
 
     sampler: Sampler
     scheme: Scheme
-    power: float
+    sure: float
+    """The probability with which a gap is to be detected."""
     progress: Callable[[int, int], None] | None
     n: int = 0
     grow: int = 4
@@ -70,45 +71,30 @@ class Trial:
         )
         own = [(0, k) for k, test in enumerate(self.tests) if sampler.own(test)]
         self.keys = own + [(t, k) for t in sampler.steps for k in range(len(self.tests))]
+        self.power = Power(self.scheme, self.tests, len(self.keys), self.sure)
         self.unlikely = self._unlikely(draws)
-
-    def detectable(self, test: Test, n: int) -> float | None:
-        """The smallest gap that a test shows with the power asked for, of n replicas in the first stage."""
-        return detectable(test, self.scheme, len(self.keys), n, self.grow, self.power)
-
-    def gap(self, n: int, *, known: bool = False) -> float:
-        """The smallest gap that n replicas detect in any coordinate, or in those alone whose CDF is `known`.
-
-        Infinite where no coordinate is ordered.
-        """
-        tests = self._headline()
-        if known:
-            tests = [test for test in tests if isinstance(test, OneSample)] or tests
-        gaps = [self.detectable(test, n) for test in tests]
-        return max((g for g in gaps if g is not None), default=np.inf)
-
-    def _headline(self) -> list[Test]:
-        """The tests of the coordinates' own laws, those of a chain's primary sample left out."""
-        return [test for test in self.tests if test.layer == "marginal" and not auxiliary(test.name)]
 
     def size(self, gap: float | None, seconds: float, replicas: int | None) -> None:
         """Choose how many replicas: what the gap takes, or what the time affords; and the unit, from their number."""
-        needed, subject = _LOOKS, self.sampler.subject
-        while self.gap(needed, known=gap is None) > (AIM if gap is None else gap) and needed < 2**27:
-            needed = int(needed * 1.02) + 1
+        known, goal = gap is None, AIM if gap is None else gap
+        needed = self.power.replicas(goal, self.grow, known=known)
         if replicas is not None:
-            require(replicas >= _LOOKS, f"{replicas} replicas are too few; give {_LOOKS} or more")
+            require(replicas >= LEAST, f"{replicas} replicas are too few; give {LEAST} or more")
             n = replicas
         else:
-            n = needed
             affordable = int(seconds * self.sampler.workers / self.sampler.seconds_a_replica())
+            if needed <= affordable < self.grow * needed:
+                # The second stage would take too long: rather find the gap at the first, where that can be afforded.
+                at_once = self.power.replicas(goal, 1, known=known)
+                self.grow, needed = (1, at_once) if at_once <= affordable else (self.grow, needed)
+            n = needed
             if affordable < needed:
                 # A quarter of a power of two, so that two runs of one kernel on one machine mostly agree on it.
                 octave = 1 << max(affordable.bit_length() - 3, 0)
-                n = max(_LOOKS, affordable // octave * octave)
+                n = max(LEAST, affordable // octave * octave)
         if n < needed:
             self.grow = 1  # what is slow gets further stages of the same size
-        per_look = -(-n // _LOOKS)
+        per_look, subject = -(-n // _LOOKS), self.sampler.subject
         if per_look < subject.unit:
             subject.unit = max(subject.least_unit, 1 << (per_look - 1).bit_length())
         self.n = n if replicas is not None else _LOOKS * (-(-per_look // subject.unit) * subject.unit)
@@ -236,12 +222,12 @@ class Trial:
 
     def report(self, name: str, seed: int, gap: float | None, replicas: int | None, seconds: float) -> Report:
         """The verdict and all that it rests on."""
-        bought = self.gap(self.n)
+        bought = self.power.gap(self.n, self.grow)
         limit = SETTLE if gap is None else gap
         asked = (replicas is None or gap is not None) and limit * (1 + 1e-9) < bought < np.inf
         if not self.reasons and (asked or 1 <= bought < np.inf):
             self.inconclusive.append(
-                f"a gap of {limit:g} with probability {self.power:g} is out of reach: {self.n} replicas detect "
+                f"a gap of {limit:g} with probability {self.sure:g} is out of reach: {self.n} replicas detect "
                 f"{bought:.2g}; allow more seconds= or replicas=, or a larger gap="
             )
         verdict = Verdict.FAIL if self.reasons else Verdict.INCONCLUSIVE if self.inconclusive else Verdict.PASS
@@ -257,7 +243,7 @@ class Trial:
                     name=test.name,
                     steps=t,
                     p_value=p,
-                    gap=self.detectable(test, self.n),
+                    gap=self.power.detectable(test, self.n, self.grow),
                     where=test.worst(counts, 5) if p <= threshold else [],
                     curve=None if curve is None else [float(c) for c in curve],
                     residuals=[float(r) for r in test.residuals(counts)] if isinstance(test, OneSample) else None,
@@ -280,11 +266,11 @@ class Trial:
             replicas=self.replicas,
             first_replicas=self.n,
             gap=bought,
-            power=self.power,
+            power=self.sure,
             moved=self.deciding.moved / max(self.deciding.n, 1),
             forgotten=self.forgotten.steps,
             forgotten_within=self.forgotten.within,
-            resolution=max((test.resolution for test in self._headline()), default=0.0),
+            resolution=max((test.resolution for test in self.power.headline), default=0.0),
             reversible=bool(subject.reversible),
             first_stage={
                 f"{test.layer}: {test.name} after {t}": test.p_value(self.first.counts[t, k])
