@@ -40,21 +40,25 @@ def add_deposits(
 
     `place` is the bin of the x of every chain: (chains,) integers within bounds.
     """
-    if sums.dtype == jnp.float64:
-        limbs, scale = [jnp.zeros_like(sums)], 1.0
-    else:
-        # A float32 bin with thousands of deposits would round each: they are added up as whole numbers of
-        # 2**-bits, as many bits as keep all of a step's deposits (of weight 1 at most) in 31, and the rest alike.
-        limbs = [jnp.zeros(sums.shape, jnp.int32)] * 2
-        scale = 2.0 ** (30 - max(deposits.weight.size - 1, 1).bit_length())
-    for x, index, weight in zip(deposits.x, deposits.index, deposits.weight, strict=True):
+    exact = sums.dtype == jnp.float64
+    # A float32 bin with thousands of deposits would round each, and alike: a step's deposits (of weight 1 at most) are
+    # added up as whole numbers of 1 / scale, as large as 31 bits hold. What lies between two of them goes up or down by
+    # an equidistributed number of the chain's, so that the expectation is exact; where one deposit of a chain goes up,
+    # its next goes down: weights that sum to one still do.
+    scale = 1.0 if exact else 2.0 ** (30 - max(deposits.weight.size - 1, 1).bit_length())
+    step = jnp.zeros(sums.shape, sums.dtype if exact else jnp.int32)
+    up = weyl(deposits.weight.shape[-1])
+    for k, (x, index, weight) in enumerate(zip(deposits.x, deposits.index, deposits.weight, strict=True)):
         where = (index, place(x)) if joint else (place(x),)
-        amount = weight * scale
-        for k, limb in enumerate(limbs):
-            whole = amount if limb.dtype == amount.dtype else jnp.round(amount)
-            limbs[k] = limb.at[where].add(whole.astype(limb.dtype), mode="promise_in_bounds")
-            amount = (amount - whole) * scale
-    return sums + sum(limb.astype(sums.dtype) / scale ** (k + 1) for k, limb in enumerate(limbs))
+        whole = weight if exact else jnp.floor(weight * scale + (1 - up if k % 2 else up))
+        step = step.at[where].add(whole.astype(step.dtype), mode="promise_in_bounds")
+    return sums + step.astype(sums.dtype) / scale
+
+
+def weyl(n: int) -> Float[Array, " n"]:
+    """Equidistributed numbers inside the unit interval: multiples of the golden ratio (Weyl 1916), in float32."""
+    turns = jnp.arange(n, dtype=jnp.uint32) * jnp.uint32(0x9E3779B9) + jnp.uint32(0x80000000)
+    return ((turns >> 9).astype(jnp.float32) + 0.5) * 2**-23
 
 
 class Histogram(Estimator):

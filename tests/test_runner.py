@@ -7,6 +7,8 @@ import pytest
 
 import mcmc1d
 from mcmc1d import chain, moves, targets, techniques
+from mcmc1d.estimators import add_deposits
+from mcmc1d.metropolis import Deposits
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.technique import LOPSIDED
 from mcmc1d.verify.goodness import p_value, smallest_gap
@@ -100,6 +102,29 @@ def test_no_count_is_lost_beyond_what_a_float32_can_hold():
     estimators = {"h": mcmc1d.Histogram(1)}
     run = mcmc1d.run(jax.random.key(0), kernel, target, steps=4096, chains=8192, blocks=1, estimators=estimators)
     assert run.sums["h"].sum() == 2**25
+
+
+def in_two_bins(small):
+    """What 8192 chains leave that deposit 1 - `small` in the first of two bins, and `small` in the second."""
+
+    def one(small):
+        return Deposits(jnp.asarray([0.25, 0.75]), jnp.zeros(2, int), jnp.stack([1 - small, small]))
+
+    deposits = jax.vmap(one, out_axes=-1)(jnp.full(8192, small, jnp.float32))
+    return add_deposits(jnp.zeros(2, jnp.float32), deposits, lambda x: (2 * x).astype(int), joint=False)
+
+
+def test_deposits_far_below_the_histograms_unit_are_right_on_average(monkeypatch):
+    """Whose unit is 2**-16, 15 times 1e-6: to the nearest none would be kept.
+
+    The numbers that round are equidistributed: a sum is off by a few units at most, not by the root of 8192.
+    """
+    for small in (1e-6, 1e-5, 0.3):
+        sums = in_two_bins(small)
+        assert float(sums[1]) == pytest.approx(8192 * small, rel=2e-7, abs=4 * 2**-16)  # float32
+        assert float(sums.sum()) == 8192  # a step's weights still sum to one
+    monkeypatch.setattr("mcmc1d.estimators.weyl", lambda n: jnp.full(n, 0.5))
+    assert float(in_two_bins(1e-6)[1]) == 0
 
 
 def test_expectation_and_cycle():
