@@ -1,7 +1,6 @@
 """Mutations of paths: involutions with their log-determinants, and laws that they keep.
 
-Two cases, each of one program, for compiling is nearly all that it costs. An image of `MLT` is held to the exact one in
-`test_wrong_integrators`, beside its wrong twin.
+Two cases, each of one program, for compiling is nearly all that it costs.
 
 Statistical tests: false-alarm rate 1e-5 each; what each would have caught stands with it.
 """
