@@ -9,6 +9,7 @@ from mcmc1d.flatland.integrators.base import Integrator
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT, RJMLT
 from mcmc1d.flatland.integrators.image import Image, Layer, Sums
 from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, LightTracing, PathTracing
+from mcmc1d.flatland.integrators.veach import MLT
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import require
 from mcmc1d.types import Key
@@ -22,6 +23,7 @@ INTEGRATORS: dict[str, Integrator] = {
     "bdpt_maximum": BidirectionalPathTracing(Maximum()),
     "pssmlt_sum": PSSMLT(),
     "pssmlt_max": PSSMLT(combine="maximum"),
+    "mlt": MLT(),
     "mmlt": MMLT(),
     "rjmlt": RJMLT(),
     "rjmlt_aimed": RJMLT(aimed=True),
@@ -70,6 +72,7 @@ def integrate(
 
 __all__ = [
     "INTEGRATORS",
+    "MLT",
     "MMLT",
     "PSSMLT",
     "RJMLT",
