@@ -35,7 +35,7 @@ FURTHER: dict[str, Integrator] = {
     "ir_clamped": InstantRadiosity(clamp=1.0),
     "photons": PhotonDensity(),
 }
-"""Those whose light is biased, or without a bound, or made in stages, by name."""
+"""Those whose light is biased, or without a bound, by name."""
 
 BIASED = frozenset({"ir_clamped", "photons"})
 """Those of `FURTHER` that miss the exact image, by an amount that their class states."""
