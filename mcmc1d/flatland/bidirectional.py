@@ -18,7 +18,7 @@ import numpy as np
 from mcmc1d.flatland.evaluation import evaluate, reads
 from mcmc1d.flatland.geometry import Vector, Walls
 from mcmc1d.flatland.paths import EXAMPLES as LIT
-from mcmc1d.flatland.paths import Geometry, Light, Paths, lamps
+from mcmc1d.flatland.paths import Geometry, Light, LightTimes, Paths, lamps
 from mcmc1d.flatland.scattering import Local, lambert_direction, lambert_number, local, scatter, unscatter
 from mcmc1d.numerics import below_one, between, cast, choose, pick, require
 from mcmc1d.techniques import Family, Technique
@@ -105,11 +105,13 @@ class Bidirectional(Family):
         self, target: Any, index: Index, u: Float[Array, " m"]
     ) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
         """Of the light of the same space of paths all at once, each edge of the path met once; see `evaluation`."""
-        if not isinstance(target, Light):
+        light = target.light if isinstance(target, LightTimes) else target
+        if not isinstance(light, Light):
             return apart(self, target, index, u)
-        (paths, lit), u = _of_one_kind((self.paths, target.paths), u)
+        (paths, lit), u = _of_one_kind((self.paths, light.paths), u)
         found = evaluate(paths, lit, self.lengths, index, u)
-        return found.x, found.v, -pick(found.log_p, index), found.log_f, found.log_p
+        log_f = found.log_f + target.log_factor(found.x) if isinstance(target, LightTimes) else found.log_f
+        return found.x, found.v, -pick(found.log_p, index), log_f, found.log_p
 
     def probes(self, domain: Corners, count: int) -> np.ndarray:
         """Paths that the techniques make themselves: of a grid of the box, next to none would be one."""

@@ -6,6 +6,7 @@ the bounce is follows from the vertices around it. So paths with and without mir
 densities with respect to one measure, d length for each vertex that is no mirror's bounce.
 """
 
+import abc
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -209,6 +210,29 @@ class Light(Target):
 
     def bin_masses(self, edges: Any) -> np.ndarray:
         raise ValueError("Light: the exact image is not the target's to tell; see flatland.reference.image")
+
+
+class LightTimes(Target):
+    """f times a factor, for chains that sample more of some paths than of others, or for a part of the light.
+
+    `Bidirectional` finds it at the price of the light.
+    """
+
+    light: eqx.AbstractVar[Light]
+
+    @abc.abstractmethod
+    def log_factor(self, x: Float[Array, " d"]) -> Scalar:
+        """Log of the factor; -inf where nothing of the light is left."""
+
+    @property
+    def domain(self) -> Corners:
+        return self.light.domain
+
+    def log_f(self, x: Float[Array, " d"]) -> Scalar:
+        return self.light.log_f(x) + self.log_factor(x)
+
+    def bin_masses(self, edges: Any) -> np.ndarray:
+        return self.light.bin_masses(edges)
 
 
 def lamps(walls: Walls) -> Float[Array, " ends"]:

@@ -7,8 +7,10 @@ import jax
 from mcmc1d.checks import require_instance
 from mcmc1d.flatland.integrators.base import Integrator
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT, RJMLT
-from mcmc1d.flatland.integrators.image import Image, Layer, Sums
+from mcmc1d.flatland.integrators.image import Image, Layer, Stacked, Sums
 from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, LightTracing, PathTracing
+from mcmc1d.flatland.integrators.instant import InstantRadiosity
+from mcmc1d.flatland.integrators.photons import PhotonDensity
 from mcmc1d.flatland.integrators.veach import MLT
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import require
@@ -30,6 +32,16 @@ INTEGRATORS: dict[str, Integrator] = {
 }
 """By the name that tables use."""
 
+FURTHER: dict[str, Integrator] = {
+    "ir": InstantRadiosity(),
+    "ir_clamped": InstantRadiosity(clamp=1.0),
+    "photons": PhotonDensity(),
+}
+"""Those whose light is biased, or without a bound, by name."""
+
+BIASED = frozenset({"ir_clamped", "photons"})
+"""Those of `FURTHER` that miss the exact image, by an amount that their class states."""
+
 
 def integrate(
     key: Key,
@@ -42,17 +54,18 @@ def integrate(
 ) -> Image:
     """Render a scene.
 
-    Arguments: `integrator`, or its name in `INTEGRATORS`; `lengths`, the numbers of edges, or the largest of them;
-    `samples`, of each length: paths, or mutations of all chains together (rounded up to what runs at once); `pixels`,
-    the scene's own unless given.
+    Arguments: `integrator`, or its name in `INTEGRATORS` or `FURTHER`; `lengths`, the numbers of edges, or the largest
+    of them; `samples`, of each length: paths, or mutations of all chains together (rounded up to what runs at once);
+    `pixels`, the scene's own unless given.
 
     Raises `ValueError` where there is no integrator of that name, where it can not make some of the scene's light, and
     where none of its paths of any length brought light to the sensor. (Of one length that is a dark image: the light
     of the room behind the door has two edges at least.)
     """
     if isinstance(integrator, str):
-        require(integrator in INTEGRATORS, f"there is no integrator {integrator!r}; known: {', '.join(INTEGRATORS)}")
-        integrator = INTEGRATORS[integrator]
+        known = INTEGRATORS | FURTHER
+        require(integrator in known, f"there is no integrator {integrator!r}; known: {', '.join(known)}")
+        integrator = known[integrator]
     require_instance(integrator, Integrator, "integrate: the integrator")
     require_instance(scene, Scene, "integrate: the scene")
     each = range(1, lengths + 1) if isinstance(lengths, int) else tuple(lengths)
@@ -71,6 +84,8 @@ def integrate(
 
 
 __all__ = [
+    "BIASED",
+    "FURTHER",
     "INTEGRATORS",
     "MLT",
     "MMLT",
@@ -78,10 +93,13 @@ __all__ = [
     "RJMLT",
     "BidirectionalPathTracing",
     "Image",
+    "InstantRadiosity",
     "Integrator",
     "Layer",
     "LightTracing",
     "PathTracing",
+    "PhotonDensity",
+    "Stacked",
     "Sums",
     "integrate",
 ]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from mcmc1d.flatland.integrators.image import Image, Layer, Sums
+from mcmc1d.flatland.integrators.image import Image, Layer, Stacked, Sums
 from mcmc1d.numerics import require
 
 
@@ -36,8 +36,11 @@ def bernstein_radius(sums: Sums, level: float) -> np.ndarray:
     return np.sqrt(2 * sums.variance * log / sums.size) + 7 * sums.bound * log / (3 * (sums.size - 1))
 
 
-def interval(layer: Layer, level: float) -> tuple[np.ndarray, np.ndarray]:
+def interval(layer: Layer | Stacked, level: float) -> tuple[np.ndarray, np.ndarray]:
     """Between what and what each pixel of a length's exact image lies, but with probability `level` each."""
+    if isinstance(layer, Stacked):  # of a sum, the sum of the intervals at their shares of the level
+        ends = [interval(part, level / len(layer.layers)) for part in layer.layers]
+        return np.sum([low for low, _ in ends], axis=0), np.sum([high for _, high in ends], axis=0)
     b = layer.normaliser
     share = level if b is None else level / 2
     mean, radius = layer.deposits.mean, bernstein_radius(layer.deposits, share)

@@ -58,10 +58,36 @@ class Layer(NamedTuple):
         return self.scale * np.hypot(b.mean * self.deposits.error, mean * b.error)
 
 
+class Stacked(NamedTuple):
+    """The light of one length as a sum of layers: of stages, or of parts; each is unbiased given those before it."""
+
+    layers: tuple[Layer, ...]
+
+    @property
+    def edges(self) -> int:
+        """The length."""
+        return self.layers[0].edges
+
+    @property
+    def rays(self) -> float:
+        """Of all of them."""
+        return sum(layer.rays for layer in self.layers)
+
+    @property
+    def value(self) -> np.ndarray:
+        """The image, (pixels,)."""
+        return np.sum([layer.value for layer in self.layers], axis=0)
+
+    @property
+    def error(self) -> np.ndarray:
+        """Its standard error, (pixels,): that a layer depends on those before it adds none."""
+        return np.sqrt(np.sum([layer.error**2 for layer in self.layers], axis=0))
+
+
 class Image:
     """An image in absolute scale, by path length: mean radiance of a pinhole's pixels, irradiance of a wall's."""
 
-    def __init__(self, layers: Sequence[Layer]):
+    def __init__(self, layers: Sequence[Layer | Stacked]):
         """`layers`: one for each length."""
         self.layers = tuple(layers)
 
@@ -100,4 +126,4 @@ class Image:
         return f"Image(lengths={self.lengths}, {numbers})"
 
 
-__all__ = ["Image", "Layer", "Sums"]
+__all__ = ["Image", "Layer", "Stacked", "Sums"]
