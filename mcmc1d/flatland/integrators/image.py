@@ -57,6 +57,10 @@ class Layer(NamedTuple):
         b, mean = self.normaliser, self.deposits.mean
         return self.scale * np.hypot(b.mean * self.deposits.error, mean * b.error)
 
+    def scaled(self, factor: float) -> "Layer":
+        """The same light times a factor."""
+        return self._replace(scale=self.scale * factor)
+
 
 class Stacked(NamedTuple):
     """The light of one length as a sum of layers: of stages, or of parts; each is unbiased given those before it."""
@@ -82,6 +86,10 @@ class Stacked(NamedTuple):
     def error(self) -> np.ndarray:
         """Its standard error, (pixels,): that a layer depends on those before it adds none."""
         return np.sqrt(np.sum([layer.error**2 for layer in self.layers], axis=0))
+
+    def scaled(self, factor: float) -> "Stacked":
+        """The same light times a factor."""
+        return Stacked(tuple(layer.scaled(factor) for layer in self.layers))
 
 
 class Image:
