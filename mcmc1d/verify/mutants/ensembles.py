@@ -142,7 +142,7 @@ MUTANTS = {
         snooker(4, mistake=True),
         "direction divided by the root of the norm, exponent (n - 1)/2",
         "dfm/emcee #531, in release 3.1.6",
-        layer="marginal",
+        layer="density",
         law=_FOUR,
         right=snooker(4, mistake=False),
     ),
