@@ -14,10 +14,11 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
+from experiments.support.ring_draw import RingDraw
 from experiments.support.sweep import Sweep
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import Move, MultipleTry, SmallStep
-from mcmc1d.moves.multiple_try import by_importance, evenly
+from mcmc1d.moves.multiple_try import LogWeight, SymmetricLambda, by_importance, by_target, evenly
 from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Uniform
@@ -51,8 +52,17 @@ PROFILES = {"quick": Config(), "paper": Config(work=2**25, steps=4096, points=2*
 F = (1.0, 3.0, 0.5, 2.0, 4.0)
 """The ring's density; its step is lopsided."""
 TRIES = (1, 2, 4, 16, 64, 256)
+F3, G3 = (1.0, 3.0, 2.0), (0.25, 0.5, 0.25)
+"""A smaller ring, and an independent proposal that is not even."""
 DEPOSITS = ("published", "two states", "auxiliary centre")
 WEIGHTS = {"lambda 1/sqrt": by_importance, "even": evenly}
+
+
+def by_lambda() -> tuple[RingDraw, dict[str, LogWeight]]:
+    """An independent step, and the weights of three lambdas: symmetric ones, and 1 / g(x), whose weight is f."""
+    step = RingDraw(G3)
+    over_both = SymmetricLambda(lambda x, y: -0.5 * (step.log_g(x) + step.log_g(y)))
+    return step, {"1 / sqrt(g g)": by_importance, "1 / (g g)": over_both, "weights f": by_target}
 
 
 def kernel(deposit: str, step: Move, tries: int, log_weight=by_importance) -> Kernel:
@@ -85,6 +95,9 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         at = DEPOSITS.index(deposit), list(WEIGHTS).index(weight)
         enumerated[at] = found.law @ found.deposits
         progress("enumeration", k + 1, len(todo))
+    more = _published(F, RingStep(len(F), {1: 0.5, -1: 0.5}), 3, by_importance, 2)
+    independent, lambdas = by_lambda()
+    drawn = np.stack([_published(F3, independent, 2, weight, 4) for weight in lambdas.values()])
     one = kernel("published", step, 2)
     net = deposit_law(one, target, edges, points=config.points)
     size: dict[str, Any] = {"steps": config.steps, "chains": config.chains, "blocks": config.blocks}
@@ -117,13 +130,29 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "spread": (("deposit", "tries"), spread),
             "work": config.work,
             "single": single.deposit_residual,
+            "three": ("state", more),
+            "independent": (("lambda", "state3"), drawn),
             "verdict": ("deposit", [report.verdict.value for report in reports]),
             "p": ("deposit", [report.p_value for report in reports]),
             "gap": ("deposit", [report.gap for report in reports]),
             "only_deposits": ("deposit", [{f.layer for f in report.failures} <= {"deposits"} for report in reports]),
         },
-        {"deposit": list(DEPOSITS), "weight": list(WEIGHTS), "tries": list(TRIES), "state": np.arange(len(F))},
+        {
+            "deposit": list(DEPOSITS),
+            "weight": list(WEIGHTS),
+            "tries": list(TRIES),
+            "state": np.arange(len(F)),
+            "lambda": list(lambdas),
+        },
     )
+
+
+def _published(f: tuple[float, ...], step: Move, tries: int, weight: LogWeight, outcomes: int) -> np.ndarray:
+    """The relative error of each state of a ring, whose step has so many equally likely outcomes of its number."""
+    target, states = ring(f)
+    one = kernel("published", step, tries, weight)
+    found = enumerate_kernel(one, target, states, [outcomes] * (2 * tries - 1) + [None, None], probes=65)
+    return found.law @ found.deposits / (np.array(f) / sum(f)) - 1
 
 
 def _errors(config: Config, deposit: str, tries: int, target: mcmc1d.Multiplexed, key) -> tuple[float, float, float]:
@@ -203,6 +232,9 @@ def judge(data: xr.Dataset) -> list[Claim]:
     passed = {d: str(data.verdict.sel(deposit=d).values) == Verdict.PASS.value for d in DEPOSITS}
     only = " (its deposits alone)" if bool(data.only_deposits.sel(deposit="published")) else ""
     held = f"verify at 1e-5 detects a CDF gap of {float(data.gap.max()):.3f} with probability 0.99"
+    three = np.abs(data.three.to_numpy())
+    drawn = dict(zip(data["lambda"].to_numpy(), np.abs(data.independent).max("state3").to_numpy(), strict=True))
+    saved = [str(name) for name, off in drawn.items() if off < 1e-12]
     repaired = max(biases["two states"], biases["auxiliary centre"])
     return [
         Claim(
@@ -214,6 +246,24 @@ def judge(data: xr.Dataset) -> list[Claim]:
             f"a state is off by {relative.min():.1%} to {relative.max():.1%}; TV up to {biases['published']:.4f}; on "
             f"the line, p = 4: {said['published']}{only}",
             f"enumeration, p = 2; exact to 1e-12; {held}",
+        ),
+        Claim(
+            "cmlt.deposit-three",
+            "With three candidates it is unbiased",
+            f"{SOURCE}, sec. 5.2",
+            "holds" if three.max() < 1e-12 else "fails",
+            "fails",
+            f"a state is off by {three.min():.1%} to {three.max():.1%}",
+            "enumeration, p = 3, an even step; 1e-12",
+        ),
+        Claim(
+            "cmlt.deposit-independent",
+            "With an independent proposal it is unbiased",
+            f"ours; {SOURCE}, sec. 5.2",
+            f"holds if lambda is {' or '.join(saved)}" if saved else "fails",
+            "holds if lambda is 1 / (g g)",
+            "a state is off by up to " + ", ".join(f"{off:.2g} ({name})" for name, off in drawn.items()),
+            "enumeration on three states, p = 2, g not even; 1e-12",
         ),
         Claim(
             "cmlt.one-candidate",
