@@ -142,8 +142,8 @@ def table(data: xr.Dataset) -> Table:
 
 def draw(data: xr.Dataset) -> Figure:
     """Steps per second of every contestant; the time of a step against each size; memory against steps."""
-    figure, axes = plt.subplots(2, 4, figsize=(7.0, 3.4))
-    for axis, dim in zip(axes[:, 0], ("step", "walk"), strict=True):
+    figure, axes = plt.subplots(3, 3, figsize=(7.0, 5.0))
+    for axis, dim in zip(axes.flat, ("step", "walk"), strict=False):
         rates = data[f"{dim}_rate"].to_numpy() / 1e6
         y = np.arange(len(rates))
         axis.barh(y, np.median(rates, axis=1), color="C0", alpha=0.6)
@@ -152,10 +152,10 @@ def draw(data: xr.Dataset) -> Figure:
         axis.set(xscale="log", xlabel=f"10⁶ steps/s, {'multiplexed step' if dim == 'step' else 'random walk'}")
         axis.invert_yaxis()
     quantities = [str(name)[3:] for name in data.data_vars if str(name).startswith("ns_")]
-    for axis, quantity in zip(axes[:, 1:].flat, quantities, strict=False):
+    for axis, quantity in zip(axes.flat[2:], quantities, strict=False):
         axis.plot(data[f"at_{quantity}"], data[f"ns_{quantity}"], "o-", markersize=3)
         axis.set(xscale="log", yscale="log", xlabel=quantity, ylabel="ns a step")
-    memory = axes[1, 3]
+    memory = axes[2, 2]
     memory.plot(data.memory_steps, data.memory_mib, "o-", markersize=3)
     memory.set(xscale="log", xlabel="steps", ylabel="peak memory, MiB", ylim=(0, 1.2 * float(data.memory_mib.max())))
     return figure

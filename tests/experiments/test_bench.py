@@ -78,7 +78,7 @@ def test_the_ratios_say_what_they_should_and_what_is_missing():
 def test_it_is_drawn_and_tabled():
     data = made_up()
     assert bench.table(data).row_count > 10
-    assert len(bench.draw(data).axes) == 8
+    assert len(bench.draw(data).axes) == 9
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system can not pin a process")
