@@ -29,16 +29,7 @@ def outside(maps: Maps, image: np.ndarray, seed: int) -> Check:
     """Outside the support, and where log_prob says that nothing is, the inverse has no volume either."""
     rng = np.random.default_rng(seed + 3)
     lower, upper = maps.corners
-    image = image[np.isfinite(image).all(1)][:64]
-    scale = np.where(np.isfinite(upper - lower), upper - lower, 1)
-    beyond = [np.zeros((0, image.shape[1]), maps.dtype)]
-    for j, (corner, sign) in itertools.product(range(maps.d), ((lower, -1), (upper, 1))):
-        if np.isfinite(corner[j]):
-            for step in _BEYOND:
-                moved = image.copy()
-                moved[:, j] = corner[j] + sign * step * scale[j]
-                beyond.append(moved)
-    out = np.concatenate(beyond)
+    out = _beyond(maps, image)
     inside = np.zeros((0, image.shape[1]), maps.dtype)
     if np.isfinite(lower).all() and np.isfinite(upper).all():
         inside = rng.random((2048, image.shape[1])).astype(maps.dtype)
@@ -57,6 +48,42 @@ def outside(maps: Maps, image: np.ndarray, seed: int) -> Check:
         "return -inf there (see `techniques.within`), or widen `support`"
     )
     return Check(equation, not bad.any(), int(must.sum()), float(bad.mean()), 0.0, where)
+
+
+def linear(maps: Maps, image: np.ndarray) -> list[Check]:
+    """Where the technique defines `prob`: that it is exp(log_prob), in the support and beyond; 0 just where that is.
+
+    To 1e-9 (1e-4 in float32) of itself, and of the largest density that was met: the two may round otherwise.
+    """
+    points = np.concatenate([image[np.isfinite(image).all(1)], _beyond(maps, image)])
+    found = maps.prob(points)
+    if found is None:
+        return []
+    p, log_prob = found.astype(np.float64), maps.inverse(points)[2].astype(np.float64)
+    expected = np.exp(log_prob)
+    close = 1e-9 if maps.dtype == np.float64 else 1e-4
+    tolerance = close * (expected + np.max(expected, where=np.isfinite(expected), initial=0))
+    apart = np.where(p == expected, 0, np.abs(p - expected))
+    bad = ~(apart <= tolerance) | ((p == 0) != np.isneginf(log_prob))
+    k = int(np.argmax(bad)) if bad.any() else int(np.argmax(apart / np.where(tolerance > 0, tolerance, 1)))
+    where = f"x = {maps.x(points[k])}: prob = {p[k]}, log_prob = {log_prob[k]}"
+    equation = "prob(x) = exp(log_prob(x)), and 0 where that is -inf alone"
+    return [Check(equation, not bad.any(), len(points), float(apart[k]), float(tolerance[k]), where)]
+
+
+def _beyond(maps: Maps, image: np.ndarray) -> np.ndarray:
+    """Images whose x is moved out of the support, across each of its ends."""
+    lower, upper = maps.corners
+    image = image[np.isfinite(image).all(1)][:64]
+    scale = np.where(np.isfinite(upper - lower), upper - lower, 1)
+    beyond = [np.zeros((0, image.shape[1]), maps.dtype)]
+    for j, (corner, sign) in itertools.product(range(maps.d), ((lower, -1), (upper, 1))):
+        if np.isfinite(corner[j]):
+            for step in _BEYOND:
+                moved = image.copy()
+                moved[:, j] = corner[j] + sign * step * scale[j]
+                beyond.append(moved)
+    return np.concatenate(beyond)
 
 
 def over_v(maps: Maps, at: Points, log_prob: np.ndarray, seed: int) -> Check:

@@ -30,6 +30,13 @@ class Maps:
         """u, log_det, and log_prob."""
         return [np.asarray(a) for a in _over(_Inverse(self.technique, self.shape), jnp.asarray(image, self.dtype))]
 
+    def prob(self, image: np.ndarray) -> np.ndarray | None:
+        """The density itself, where the technique defines it."""
+        if type(self.technique).prob is Technique.prob:
+            return None
+        found = _over(_Density(self.technique, self.shape), jnp.asarray(image, self.dtype))
+        return None if found is None else np.asarray(found)
+
     def x(self, image: np.ndarray) -> str:
         """The sample of one image, for a message."""
         return numbers(image[: self.d].reshape(self.shape))
@@ -67,6 +74,14 @@ class _Inverse(eqx.Module):
         d = int(np.prod(self.shape))
         x = image[:d].reshape(self.shape)
         return *self.technique.inverse(x, image[d:]), self.technique.log_prob(x)
+
+
+class _Density(eqx.Module):
+    technique: Technique
+    shape: tuple[int, ...] = eqx.field(static=True)
+
+    def __call__(self, image: Float[Array, " m"]) -> Scalar | None:
+        return self.technique.prob(image[: int(np.prod(self.shape))].reshape(self.shape))
 
 
 @quickly

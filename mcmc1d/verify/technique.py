@@ -12,7 +12,7 @@ from mcmc1d.numerics import cast, require
 from mcmc1d.techniques import Technique
 from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, steepness
 from mcmc1d.verify.contract import Check, ContractReport, numbers
-from mcmc1d.verify.density import integral, outside, over_v
+from mcmc1d.verify.density import integral, linear, outside, over_v
 from mcmc1d.verify.maps import Maps
 from mcmc1d.verify.points import cube_points
 
@@ -28,10 +28,11 @@ def check_technique(
 
     Both round trips (the second with the x of one point and the v of another, as a jump has them); `forward`'s
     log-determinant against autodiff; `inverse`'s against `forward`'s; `log_prob` against the determinant, pointwise
-    or integrated over v; that both are -inf outside `support`; the integral of the density over `support`; and that
-    nothing leaves the unit cube. The tolerance is 1e-10 (2e-5 in float32) times the point's condition number, and
-    what four roundings of x do to the log-determinant. Where a derivative is infinite, the report says so and the
-    log-determinant's limit is checked instead. Under an infinite support x may be infinite where the density is zero.
+    or integrated over v; `prob`, where it is defined, against `log_prob`; that both densities are none outside
+    `support`; the integral over `support`; and that nothing leaves the unit cube. The tolerance is 1e-10 (2e-5 in
+    float32) times the point's condition number, and what four roundings of x do to the log-determinant. Where a
+    derivative is infinite, the report says so and the log-determinant's limit is checked instead. Under an infinite
+    support x may be infinite where the density is zero.
 
     Returns a `ContractReport`, false where a check failed: its text names the broken equation, the worst point and both
     sides there. `report.raise_if_failed()` is for tests. Raises `ValueError` where the technique is not a map
@@ -98,6 +99,7 @@ class _Contract:
             *self._at_fresh_v(u, image),
             self._density(at_image, log_det_back, log_prob),
             outside(self.maps, image, self.seed),
+            *linear(self.maps, image),
         ]
 
     def _edges(self) -> set[float]:

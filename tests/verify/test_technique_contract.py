@@ -152,3 +152,25 @@ def test_where_v_says_something_of_x_the_density_is_the_integral_over_v():
 def test_a_wrong_density_there_is_caught_though_it_integrates_to_one(claimed):
     report = check_technique(PriorLobeRight(lobes(0.3), lobes(claimed)), points=1000)
     assert {failure.equation.partition(": ")[2][:19] for failure in report.failures} == {"p(x) = integral ove"}
+
+
+class TooLarge(Ramp):
+    """A ramp whose `prob` is not quite `log_prob`'s."""
+
+    def prob(self, x):
+        return 1.001 * Ramp.prob(self, x)
+
+
+class NotZeroOutside(Ramp):
+    """A ramp whose `prob` goes on beyond its support."""
+
+    def prob(self, x):
+        return jnp.where((x < 0) | (x > 1), 0.1, Ramp.prob(self, x))
+
+
+def test_the_density_and_its_logarithm_must_agree_inside_and_outside():
+    """The balance heuristic takes the one, jumps the other."""
+    assert check_technique(Ramp(1.0), points=200)
+    for wrong in (TooLarge(1.0), NotZeroOutside(1.0)):
+        broken = [check.equation for check in check_technique(wrong, points=200).failures]
+        assert [equation.partition(": ")[2][:23] for equation in broken] == ["prob(x) = exp(log_prob("] * 2
