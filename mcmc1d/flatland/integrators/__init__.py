@@ -7,10 +7,12 @@ import jax
 from mcmc1d.checks import require_instance
 from mcmc1d.flatland.integrators.base import Integrator
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT, RJMLT
+from mcmc1d.flatland.integrators.coherent import CoherentMLT
 from mcmc1d.flatland.integrators.image import Image, Layer, Stacked, Sums
 from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, LightTracing, PathTracing
 from mcmc1d.flatland.integrators.instant import InstantRadiosity
 from mcmc1d.flatland.integrators.photons import PhotonDensity
+from mcmc1d.flatland.integrators.redistribution import EnergyRedistribution
 from mcmc1d.flatland.integrators.veach import MLT
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import require
@@ -36,10 +38,13 @@ FURTHER: dict[str, Integrator] = {
     "ir": InstantRadiosity(),
     "ir_clamped": InstantRadiosity(clamp=1.0),
     "photons": PhotonDensity(),
+    "cmlt": CoherentMLT(),
+    "cmlt_published": CoherentMLT(deposit="published"),
+    "erpt": EnergyRedistribution(),
 }
-"""Those whose light is biased, or without a bound, by name."""
+"""Others, by name: of the papers under test, and those whose light is biased, or without a bound."""
 
-BIASED = frozenset({"ir_clamped", "photons"})
+BIASED = frozenset({"cmlt_published", "ir_clamped", "photons"})
 """Those of `FURTHER` that miss the exact image, by an amount that their class states."""
 
 
@@ -92,6 +97,8 @@ __all__ = [
     "PSSMLT",
     "RJMLT",
     "BidirectionalPathTracing",
+    "CoherentMLT",
+    "EnergyRedistribution",
     "Image",
     "InstantRadiosity",
     "Integrator",

@@ -24,6 +24,9 @@ from mcmc1d.techniques.product import cube
 from mcmc1d.types import Array, Float, Key
 from mcmc1d.weights import Balance, Maximum, Power
 
+_WRITTEN_OUT = 16
+"""Up to so many deposits of a step are written out, which fuses; more, of long sub-chains, are a loop."""
+
 
 class EachChain(Estimator):
     """The deposits of each chain of a block in each pixel, (pixels, chains): chains are independent, steps are not."""
@@ -38,11 +41,15 @@ class EachChain(Estimator):
     def update(self, sums: Float[Array, "n c"], steps: Step) -> Float[Array, "n c"]:
         paths, deposits = cast(self.paths, sums.dtype), steps.deposits
         row = jnp.arange(paths.sensor.pixels)[:, None]
-        for k in range(deposits.weight.shape[0]):
-            pixel = jax.vmap(paths.pixel, in_axes=-1)(deposits.x[k])
+
+        def one(sums: Float[Array, "n c"], deposit: tuple[Array, Array]) -> tuple[Float[Array, "n c"], None]:
+            x, weight = deposit
+            pixel = jax.vmap(paths.pixel, in_axes=-1)(x)
             # By comparison: a chain's deposit is a scatter of one into its own column.
-            sums = sums + jnp.where(pixel[None] == row, deposits.weight[k][None], 0)
-        return sums
+            return sums + jnp.where(pixel[None] == row, weight[None], 0), None
+
+        few = deposits.weight.shape[0] <= _WRITTEN_OUT
+        return jax.lax.scan(one, sums, (deposits.x, deposits.weight), unroll=few)[0]
 
 
 class Metropolised(Integrator):
@@ -92,7 +99,8 @@ def paths_techniques(paths: Paths) -> range:
     return range(1 - paths.sensor.places, paths.edges + 2)
 
 
-def _require_chains(integrator: Any) -> None:
+def require_chains(integrator: Any) -> None:
+    """Raise `ValueError` where a setting that all chains have in common is out of range."""
     name = type(integrator).__name__
     require(integrator.chains >= 2, f"{name}: chains must be 2 at least, for a standard error, not {integrator.chains}")
     require(integrator.spent_on_b > 0, f"{name}: spent_on_b must be positive, not {integrator.spent_on_b}")
@@ -113,7 +121,7 @@ class PSSMLT(Metropolised):
     spent_on_b: float = 0.25
 
     def __check_init__(self):
-        _require_chains(self)
+        require_chains(self)
 
     def target(self, paths: Paths) -> Multiplexed:
         together = Pooled(multiplexed(paths, None, self.weights), self.combine)
@@ -142,7 +150,7 @@ class MMLT(Metropolised):
     spent_on_b: float = 0.25
 
     def __check_init__(self):
-        _require_chains(self)
+        require_chains(self)
 
     def target(self, paths: Paths) -> Multiplexed:
         return multiplexed(paths, None, self.weights)
@@ -174,7 +182,7 @@ class RJMLT(Metropolised):
     spent_on_b: float = 0.25
 
     def __check_init__(self):
-        _require_chains(self)
+        require_chains(self)
         require(
             0 <= self.jump <= 1 - self.large,
             f"RJMLT: the probabilities large = {self.large} and jump = {self.jump} must sum to 1 at most",
@@ -201,4 +209,4 @@ class RJMLT(Metropolised):
 
 EXAMPLES = {"each_chain": EachChain(LIT["light"].paths, 64)}
 
-__all__ = ["EXAMPLES", "MMLT", "PSSMLT", "RJMLT", "EachChain"]
+__all__ = ["EXAMPLES", "MMLT", "PSSMLT", "RJMLT", "EachChain", "Metropolised", "require_chains"]

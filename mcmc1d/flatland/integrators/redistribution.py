@@ -1,0 +1,130 @@
+"""Energy redistribution path tracing: short chains of equal energy from independent paths (Cline et al. 2005)."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.chain import run
+from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest, multiplexed
+from mcmc1d.flatland.integrators.chains import EachChain
+from mcmc1d.flatland.integrators.image import Layer, Sums
+from mcmc1d.flatland.paths import Paths
+from mcmc1d.flatland.scene import Scene
+from mcmc1d.metropolis import Metropolis
+from mcmc1d.moves import SmallStep
+from mcmc1d.numerics import cast, jit_with, require
+from mcmc1d.random import uniforms
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Float, Key
+from mcmc1d.weights import Balance, Maximum, Power
+
+_PATHS = 2**12
+"""Independent paths at once."""
+_CHAINS = 2**10
+"""Chains at once: one size, so that one program serves any number of them."""
+
+
+def chains_of(energy: np.ndarray, quantum: float, xi: np.ndarray) -> np.ndarray:
+    """How many chains each path starts: floor(e / quantum + xi), e / quantum in expectation."""
+    return np.floor(energy / quantum + xi).astype(int)
+
+
+class EnergyRedistribution(Integrator):
+    """ERPT (Cline, Talbot, Egbert 2005): paths by BDPT, and from each as many chains as its energy has quanta.
+
+    A path of energy e = n w_i f / p_i starts floor(e / quantum + xi) chains of `length` small steps, each of which
+    deposits the quantum evenly along its way, on proposals and states with a and 1 - a. The starts follow f in
+    expectation and the chains keep it: unbiased for any quantum and length. The quantum is such that a path brings
+    `mutations` steps on average, by an estimate of b that errs without harm. No filter takes away noise.
+
+    `samples` are the paths and the steps together. The standard error is that of the paths, each with its chains.
+    """
+
+    length: int = eqx.field(static=True, default=32)
+    mutations: float = 1.0
+    """Steps of chains for each path, on average."""
+    sigma: float = 0.03
+    weights: Balance | Power | Maximum = Balance()
+
+    def __check_init__(self):
+        require(
+            self.length >= 1 and self.mutations > 0,
+            f"EnergyRedistribution: length and mutations must be positive, not {self.length} and {self.mutations}",
+        )
+
+    def target(self, paths: Paths) -> Multiplexed:
+        return multiplexed(paths, None, self.weights)
+
+    def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
+        b_key, path_key, key = jax.random.split(key, 3)
+        paths = Paths(scene, edges)
+        target, pixels = self.target(paths), paths.sensor.pixels
+        most = target.n_techniques * brightest(scene, edges)
+        batches = max(1, round(samples / (1 + self.mutations) / _PATHS))
+        size = batches * _PATHS
+        b = bootstrap(b_key, target, _PATHS, most)
+        total, squares, chains = np.zeros(pixels), np.zeros(pixels), 0
+        if b.total.any():
+            quantum = b.mean.item() * self.length / self.mutations
+            index, u, owner = self._starts(path_key, target, batches, quantum)
+            chains = len(owner)
+            # Sums of each path: a chain's mean deposit is a quantum of its path's energy.
+            paths_with, rank = np.unique(owner, return_inverse=True)
+            each = np.zeros((len(paths_with), pixels))
+            np.add.at(each, rank, quantum * self._walked(key, target, paths, index, u))
+            total, squares = each.sum(0), (each**2).sum(0)
+            most += quantum
+        rays = float(edges) * (size + chains * self.length + b.size)
+        return Layer(edges, float(pixels), Sums(size, total, squares, most), None, rays)
+
+    def _starts(
+        self, key: Key, target: Multiplexed, batches: int, quantum: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The index and u of each chain's start, and which path it is."""
+        found: list[Any] = []
+        for k in range(batches):
+            state, energy, xi = (jax.tree.map(np.asarray, part) for part in _energies(key, target, jnp.asarray(k)))
+            if not np.all(np.isfinite(energy)):
+                raise ValueError(
+                    "the light of a path is NaN or infinite; look at the scene for a lamp of infinite emission"
+                )
+            path = np.repeat(np.arange(_PATHS), chains_of(energy.astype(np.float64), quantum, xi))
+            found.append((state.index[path], state.u[path], path + k * _PATHS))
+        index, u, owner = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return index, u, owner
+
+    def _walked(self, key: Key, target: Multiplexed, paths: Paths, index: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """The mean deposits of each chain, (chains, pixels)."""
+        kernel, film = Metropolis(SmallStep(self.sigma)), {"film": EachChain(paths, _CHAINS)}
+        means = []
+        for first in range(0, len(index), _CHAINS):
+            own = np.arange(first, first + _CHAINS) % len(index)  # what fills the last batch up is thrown away
+            ran = run(
+                jax.random.fold_in(key, first),
+                kernel,
+                target,
+                steps=self.length,
+                chains=_CHAINS,
+                blocks=1,
+                estimators=film,
+                start=State(jnp.asarray(index[own]), jnp.asarray(u[own])),
+            )
+            means.append(ran.sums["film"][0].T / self.length)
+        return np.concatenate(means)[: len(index)] if means else np.zeros((0, paths.sensor.pixels))
+
+
+@jit_with(xla_cpu_prefer_vector_width=512)
+def _energies(key: Key, target: Multiplexed, batch: Array) -> tuple[State, Float[Array, " n"], Float[Array, " n"]]:
+    """Independent (index, u), the energy of each, and a uniform number."""
+    dtype = jnp.zeros(()).dtype
+    target = cast(target, dtype)
+    numbers = uniforms(key, batch, (target.dim_u + 2, _PATHS), dtype)
+    index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
+    seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[2:])).seen
+    return State(index, numbers[2:].T), target.n_techniques * jnp.exp(seen.log_c), numbers[1]
+
+
+__all__ = ["EnergyRedistribution", "chains_of"]
