@@ -141,7 +141,17 @@ class _Contract:
             steep = np.where(np.isfinite(out.sensitivity), out.sensitivity, np.inf)
             where = Points(uw, np.maximum(condition, steep), rounding=felt, cap=_LARGEST_TOLERANCE)
             equation = "the proposal's eval = an evaluation of it"
-            checks.append(compare(equation, where, lambda p, rows: at(p, rows).found, out.kept, *both))
+            # Both sides change at a neighbour: where a light's end is met at a grazing angle, by orders of magnitude.
+            checks.append(
+                compare(
+                    equation,
+                    where,
+                    lambda p, rows: at(p, rows).found,
+                    out.kept,
+                    *both,
+                    anew=lambda p, rows: at(p, rows).kept,
+                )
+            )
         return checks
 
     def _alive(self, out: "Outcome", regular: np.ndarray, index: np.ndarray, uw: np.ndarray) -> Check:
