@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from rich.box import SIMPLE
 from rich.table import Table
 
@@ -154,7 +155,14 @@ def draw(data: xr.Dataset) -> Figure:
     quantities = [str(name)[3:] for name in data.data_vars if str(name).startswith("ns_")]
     for axis, quantity in zip(axes.flat[2:], quantities, strict=False):
         axis.plot(data[f"at_{quantity}"], data[f"ns_{quantity}"], "o-", markersize=3)
+        at = data[f"at_{quantity}"].to_numpy()
         axis.set(xscale="log", yscale="log", xlabel=quantity, ylabel="ns a step")
+        axis.set_xticks(at, [f"{size:g}" for size in at], fontsize=6)
+        axis.xaxis.set_minor_locator(NullLocator())
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("{x:g}")
+        axis.tick_params(axis="y", which="both", labelsize=6)
+        axis.set_ylim(0.8 * float(data[f"ns_{quantity}"].min()), 1.25 * float(data[f"ns_{quantity}"].max()))
     memory = axes[2, 2]
     memory.plot(data.memory_steps, data.memory_mib, "o-", markersize=3)
     memory.set(xscale="log", xlabel="steps", ylabel="peak memory, MiB", ylim=(0, 1.2 * float(data.memory_mib.max())))

@@ -26,7 +26,7 @@ SIZES = {
     "bins": (10, 100, 1000, 10000),
     "techniques": (1, 2, 4, 8, 16),
     "candidates": (1, 2, 4, 8),
-    "edges": (1, 2, 4, 6),
+    "edges": (2, 3, 4, 6),
 }
 CHAINS, STEPS = 4096, 256
 
@@ -73,7 +73,7 @@ def _case(quantity: str, size: int, work: float) -> Case:
     chains = size if quantity == "chains" else CHAINS
     # As much work at every number of chains, so that a short run's fixed cost does not show as theirs.
     steps = size if quantity == "steps" else max(8, int(STEPS * work * CHAINS / chains))
-    if quantity == "edges":  # multiplexed Metropolis light transport in flatland
+    if quantity == "edges":  # multiplexed Metropolis light transport in flatland, whose box has no light of one edge
         paths = Paths(scene("box"), size)
         case = Case(MMLT().target(paths), MMLT().kernel(), EachChain(paths, chains), chains, steps)
     else:
