@@ -66,10 +66,12 @@ def alternate(stage: str, contestants: Mapping[str, Go], rounds: int, show: Show
 
 def run(config: Config, seed: int, show: Show) -> xr.Dataset:
     """The multiplexed step, the random walk, growth with the problem's size, and what starting and memory cost."""
-    from experiments.support import bench_growth, bench_start, bench_steps, bench_walks
-
     found: dict[str, Any] = {}
     with pinned() as one_core:
+        # JAX starts with these, and has a thread for each core it finds: more than one on a pinned core, and a step
+        # of many small loops, as the library's, took half as long again.
+        from experiments.support import bench_growth, bench_start, bench_steps, bench_walks
+
         for stage, module in (("multiplexed step", bench_steps), ("random walk", bench_walks)):
             contestants = module.contestants(config.work)
             rates = alternate(stage, {n: c.go for n, c in contestants.items()}, config.rounds, show)
