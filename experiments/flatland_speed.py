@@ -1,6 +1,5 @@
 """Paths per second of every integrator of flatland, by one core's own time: what a mutation or a sample costs."""
 
-import os
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -26,6 +25,9 @@ from mcmc1d.flatland.scenes import scene
 _CHAINS = 4096
 _AIM = 5e6
 
+ALONE = True
+"""It measures time: nothing may run beside it."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -45,19 +47,11 @@ PROFILES = {
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
-    """Time each, one after the other, pinned to one core where the system can; compilation is left out."""
+    """Time each, one after the other on one core; compilation is left out."""
     scenes = config.scenes.split()
     names = list(INTEGRATORS) if config.integrators == "all" else config.integrators.split()
-    pinned = hasattr(os, "sched_setaffinity")
-    cores = os.sched_getaffinity(0) if pinned else set()
-    if pinned:
-        os.sched_setaffinity(0, {max(cores)})
-    try:
-        points = [(s, name, config.edges, config.log2_samples, config.rounds, seed) for s in scenes for name in names]
-        rates = [progress.map("speed", rate, [point])[0] for point in points]
-    finally:
-        if pinned:
-            os.sched_setaffinity(0, cores)
+    points = [(s, name, config.edges, config.log2_samples, config.rounds, seed) for s in scenes for name in names]
+    rates = progress.map("speed", rate, points, timed=True)
     return xr.Dataset(
         {"rate": (("scene", "integrator"), np.array(rates).reshape(len(scenes), len(names))), "edges": config.edges},
         {"scene": scenes, "integrator": names},

@@ -43,12 +43,15 @@ class Sweep:
     def __call__(self, stage: str, done: int, total: int) -> None:
         self._show(stage, done, total)
 
-    def map(self, stage: str, work: Callable[..., Any], points: Sequence[tuple[Any, ...]]) -> list[Any]:
+    def map(
+        self, stage: str, work: Callable[..., Any], points: Sequence[tuple[Any, ...]], *, timed: bool = False
+    ) -> list[Any]:
         """`[work(*point) for point in points]`, each as JSON gives it back; points in the journal are not done again.
 
         `work` is a function of a module, and its result depends on nothing but the point: then it does not matter which
         process did it, or when. Points and results are made of what JSON knows. A point's `long_run`s are saved as they
-        go, but on a cluster, which need not share a disk.
+        go, but on a cluster, which need not share a disk. What is `timed` is done one after the other, in a process
+        that was pinned to a core before JAX found out how many there are.
         """
         results: dict[int, Any] = {}
         todo: dict[int, tuple[Any, ...]] = {}
@@ -59,7 +62,7 @@ class Sweep:
             else:
                 todo[k] = point
         self(stage, len(results), len(points))
-        for k, result in self._work(stage, work, todo):
+        for k, result in self._work(stage, work, todo, timed):
             results[k] = json.loads(json.dumps(result))
             if self._journal is not None:
                 self._journal.append(stage, points[k], results[k])
@@ -67,14 +70,14 @@ class Sweep:
         return [results[k] for k in range(len(points))]
 
     def _work(
-        self, stage: str, work: Callable[..., Any], points: dict[int, tuple[Any, ...]]
+        self, stage: str, work: Callable[..., Any], points: dict[int, tuple[Any, ...]], timed: bool
     ) -> Iterator[tuple[int, Any]]:
         kept = {k: None if self._journal is None else self._journal.prefix(stage, point) for k, point in points.items()}
         if self._dask is not None and points:
             yield from on_cluster(self._dask, work, points, source())
             return
-        jobs = min(self._jobs, len(points))
-        if jobs <= 1:
+        jobs = 1 if timed else min(self._jobs, len(points))
+        if not points or (jobs == 1 and not timed):
             for k, point in points.items():
                 with at(kept[k], self._show):
                     result = work(*point)
@@ -83,7 +86,8 @@ class Sweep:
         # JAX has threads, and a fork would copy their locks as they are.
         context = multiprocessing.get_context("spawn")
         cores = context.SimpleQueue()
-        for core in (sorted(os.sched_getaffinity(0)) * jobs)[:jobs]:
+        known = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
+        for core in (known * jobs)[:jobs]:
             cores.put(core)
         with ProcessPoolExecutor(jobs, context, _pin, (cores, jax.config.values["jax_compilation_cache_dir"])) as pool:
             futures = {pool.submit(_inside, kept[k], work, point): k for k, point in points.items()}
@@ -96,7 +100,8 @@ class Sweep:
 
 def _pin(cores: Any, cache: str | None) -> None:
     """What a process of a sweep does first: take a core for itself, and find what others have compiled."""
-    os.sched_setaffinity(0, {cores.get()})
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {cores.get()})
     keep_compiled(cache)
 
 
