@@ -48,7 +48,7 @@ def test_one_look_at_a_state_finds_what_two_walks_and_two_looks_do(of, edges):
 
 
 # The others are the right twins of `test_wrong_integrators`.
-@pytest.mark.parametrize("name", ["pt", "bdpt_maximum", "pssmlt_sum", "rjmlt_aimed"])
+@pytest.mark.parametrize("name", ["pt", "bdpt_maximum", "pssmlt_sum", "rjmlt_aimed", "mlt"])
 def test_the_box_by_two_edges(name):
     """Would have caught 30 % in any pixel with probability 0.99; and the number of techniques left out is caught."""
     box = scene("box").with_pixels(4)
