@@ -30,6 +30,16 @@ _MODULES = [f"mcmc1d.{path.stem}" for path in sorted((_ROOT / "mcmc1d").iterdir(
 jaxtyping.install_import_hook(_MODULES, "strict.check")
 
 
+_MOST_MAPS = 15_000
+"""Compiled code is mapped into memory in pieces, of which Linux grants a process 65,530: at the next it crashes."""
+
+
+def pytest_runtest_teardown() -> None:
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > _MOST_MAPS:
+        jax.clear_caches()
+
+
 def pytest_configure(config: pytest.Config) -> None:
     # JAX writes its cache in place: a worker that reads what another is writing compiles again, which is no fault.
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache")

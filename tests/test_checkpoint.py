@@ -225,6 +225,7 @@ import hashlib, os, random, signal, sys, time, warnings
 import equinox, jax, numpy as np, scipy.special
 warnings.filterwarnings("ignore", ".*os.fork")  # the parent only imports, and has no thread when it forks
 assert len(os.listdir("/proc/self/task")) == 1
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
 path, log, kills, dice = sys.argv[1], sys.argv[2], int(sys.argv[3]), random.Random(int(sys.argv[4]))
 
 def start(checkpoint, cores):
