@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from mcmc1d.numerics import cast, jit_with, require
 from mcmc1d.types import Array, Float, UInt32
@@ -20,7 +21,9 @@ ATOM_WIDTH = 5e-7
 COARSE = 10
 """Intervals of the first coordinate between which the flux of each kind of move is kept."""
 
-_LOST = 2e-3  # of the flux: what may go to cells that hold too little mass for a point of the net
+_LOST = 2e-3  # of the flux: what may go to cells that hold too little mass for a point of the net, or come from traps
+
+_FEW = 32  # points of a net, that start in cells which none of them leaves: too few to say that the kernel stays there
 
 _BATCH = 2**17
 
@@ -66,6 +69,7 @@ class _Sums:
         self.size, self.coarse = int(np.prod(cells.shape)), cells.n_index * COARSE
         self.matrix: Matrix = sp.csr_matrix((self.size, self.size))
         self.by_kind = np.zeros((kinds, self.coarse**2))
+        self.starts = np.zeros(self.size, np.int64)
         self.mass = 0.0
         self.kept: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.representative: Any = None
@@ -79,6 +83,7 @@ class _Sums:
         lit = weights > 0
         rows = np.broadcast_to(places[0], weights.shape)
         entries = (weights[lit], (rows[lit], places[1:][lit]))
+        self.starts += np.bincount(places[0][start > 0], minlength=self.size)
         self.matrix = self.matrix + sp.coo_matrix(entries, shape=self.matrix.shape).tocsr()
         if reference:
             self.mass += float(start.sum())
@@ -91,6 +96,20 @@ class _Sums:
         self.representative[places[0][start > 0]] = x[start > 0]
         if keep:
             self.kept.append((places[0][start > 0], x[start > 0], start[start > 0]))
+
+    def escapable(self) -> Matrix:
+        """The flux, without that from cells which the few points that start there do not leave.
+
+        Where the cells of u and those of x cut one another there are slivers, with a point or two; where all of these
+        are rejected, the cell looks like a trap, and would hold all of the law that the kernel keeps. A kernel that
+        stays in more than such a sliver is left as it is.
+        """
+        _, label = connected_components(self.matrix, directed=True, connection="strong")
+        rows, columns = self.matrix.nonzero()
+        leaves = np.bincount(label[rows], label[rows] != label[columns], minlength=label.max() + 1) > 0
+        few = np.bincount(label, self.starts) < _FEW
+        kept = sp.csr_matrix(sp.diags((leaves | ~few)[label].astype(float)) @ self.matrix)
+        return kept if kept.sum() > (1 - _LOST) * self.matrix.sum() else self.matrix
 
 
 def measure(
@@ -134,7 +153,8 @@ def measure(
 
 def _gather(cells: Cells, sums: list[_Sums], kinds: tuple[str, ...]) -> Flux:
     """The used cells alone, and everything relative to the target's mass."""
-    reached: Matrix = sum((s.matrix for s in sums[1:]), sums[0].matrix)
+    scrambles = [s.escapable() for s in sums]
+    reached: Matrix = sum(scrambles[1:], scrambles[0])
     starts = np.diff(reached.indptr) > 0
     lost = float(reached.sum() - reached[:, np.flatnonzero(starts)].sum()) / float(reached.sum())
     require(
@@ -152,7 +172,7 @@ def _gather(cells: Cells, sums: list[_Sums], kinds: tuple[str, ...]) -> Flux:
     coarse = sums[0].coarse
     return Flux(
         dataclasses.replace(cells, used=used),
-        tuple((s.matrix[used][:, used] / s.mass).tocsr() for s in sums),
+        tuple((matrix[used][:, used] / s.mass).tocsr() for matrix, s in zip(scrambles, sums, strict=True)),
         np.stack([s.by_kind.reshape(-1, coarse, coarse) / s.mass for s in sums]),
         kinds,
         (np.searchsorted(used, place), place // (sums[0].size // cells.n_index), x, weight),

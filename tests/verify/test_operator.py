@@ -10,13 +10,14 @@ import pytest
 
 import mcmc1d
 from mcmc1d.metropolis import Cycle, Metropolis
-from mcmc1d.moves import Mixture, ReversibleJump, SmallStep
+from mcmc1d.moves import Mixture, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Mixture as MixtureTechnique
 from mcmc1d.techniques import PiecewiseConstant, Ramp, Tent, Uniform
 from mcmc1d.verify.goodness import total_variation
 from mcmc1d.verify.mutants.jumps import Frozen, no_jacobian
 from mcmc1d.verify.operator import step_operator, transition_operator
+from mcmc1d.weights import Maximum
 
 EDGES = np.linspace(0, 1, 21)
 POINTS = 2**17
@@ -42,6 +43,14 @@ def test_a_right_kernel_keeps_the_exact_law(right):
     law = right.law_of(EDGES)
     assert total_variation(law.masses, TWO.joint_masses(EDGES)) < 1e-3
     assert law.noise + law.grid < 2e-3
+
+
+def test_slivers_between_the_cells_of_u_and_of_x_are_no_traps():
+    """The maximum heuristic makes cells with a point or two of the net, all of whose proposals are dark."""
+    target = mcmc1d.Multiplexed(Sinusoid(0.9, 1.5, 0.1), (Tent(0.4), Ramp(1.2)), Maximum())
+    for seed in range(4):
+        law = transition_operator(StepAndChange(SmallStep(0.1)), target, points=2**15, seed=seed).law_of(EDGES)
+        assert total_variation(law.masses, target.joint_masses(EDGES)) < 1e-3 + 2 * law.noise < 0.02
 
 
 def test_the_law_of_a_wrong_kernel_is_the_one_simulated(wrong):
