@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.extend.random import threefry_2x32
 
 from mcmc1d.numerics import require
 from mcmc1d.types import Array, Float, Int, Key, UInt32
@@ -107,7 +108,9 @@ class Hash32(Source):
         return jnp.concatenate(self.pairs(key, step, -(-count // 2)))[:count]
 
     def pairs(self, key: UInt32[Array, " 2"], step: UInt32[Array, ""], count: int) -> tuple[Array, Array]:
-        multiplier, offset = threefry(key, step, jnp.uint32(0xFFFFFFFF))
+        # JAX's own threefry, whose bits are the same: a loop on a CPU, which is as good for two words. Written out it
+        # is worked out in both halves, and LLVM takes half an hour and more over that for AVX-512.
+        multiplier, offset = threefry_2x32(key, jnp.stack([step, jnp.uint32(0xFFFFFFFF)]))
         position = jnp.arange(count, dtype=jnp.uint32)
         first, second = (self._mix(i * (multiplier | 1) + offset) for i in (position, position + jnp.uint32(count)))
         return first, second
