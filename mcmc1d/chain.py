@@ -13,10 +13,11 @@ import numpy as np
 
 from mcmc1d import parallel
 from mcmc1d.checkpoint import Place, Saving, describe
+from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator
 from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move
-from mcmc1d.numerics import cast, jit_with, require
+from mcmc1d.numerics import cast, require
 from mcmc1d.random import Source, source
 from mcmc1d.starts import Normalisation, begin, exact_start, normalisation, require_defined, require_multiplexed
 from mcmc1d.state import Multiplexed, State
@@ -188,8 +189,7 @@ def trace(
     return Trace(np.asarray(x), np.asarray(index))
 
 
-# XLA's default is half the width of a CPU's vectors where it has AVX-512; without it, and on a GPU, this is ignored.
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _advance(
     key: Key,
     numbers: Source,

@@ -1,7 +1,7 @@
 """Small numerical functions that stay exact at the edges of the unit interval, in float32 too."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from mcmc1d.types import Array, Float, Index, Real, Scalar
 
 T = TypeVar("T")
-F = TypeVar("F", bound=Callable)
 
 
 # --- parameters -----------------------------------------------------------------------------------------------------
@@ -44,16 +43,6 @@ def cast(tree: T, dtype: Any) -> T:
         return leaf
 
     return jax.tree.map(convert, tree)
-
-
-def jit_with(**options: Any) -> Callable[[F], F]:
-    """`equinox.filter_jit` with compiler options: arrays are traced, all else is static."""
-
-    def decorate(function: F) -> F:
-        jit: Any = eqx.filter_jit
-        return jit(function, compiler_options=options)
-
-    return decorate
 
 
 # --- the unit interval ----------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from mcmc1d.numerics import jit_with
+from mcmc1d.compiling import jit_with
 from mcmc1d.verify.contract import Check, numbers
 
 quickly = jit_with(xla_backend_optimization_level=1, xla_llvm_disable_expensive_passes=True)

@@ -10,7 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from mcmc1d.numerics import cast, jit_with, require
+from mcmc1d.compiling import wide_jit
+from mcmc1d.numerics import cast, require
 from mcmc1d.types import Array, Float, UInt32
 from mcmc1d.verify.cells import Cells, net_points, number, regular, sobol
 from mcmc1d.verify.outcomes import KernelFlux, StepFlux
@@ -42,7 +43,7 @@ class Flux:
     """Of some of the starts, one at least in each cell: the cell, the index, x, and the weight."""
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _batch(flux: Any, words: UInt32[Array, "b dim"], edges: Any, first: Any, index: Any, static: Any) -> Any:
     """One batch of the net: places and coarse places of the start and each outcome, (1 + outcomes, n), and the rest."""
     count, counts, dtype = static

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.numerics import jit_with, require
+from mcmc1d.compiling import wide_jit
+from mcmc1d.numerics import require
 from mcmc1d.types import Array, Key
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.subject import PICK, Look, Subject, drawn, key_of, pick
@@ -185,7 +186,7 @@ def _begin(kernel: JaxKernel, key: Key, ids: Array, start: Any) -> Any:
     return jax.vmap(one)(ids, start)
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _advance(
     kernel: JaxKernel, returns_info: bool, key: Key, ids: Array, states: Any, first: Array, last: Array, limit: Array
 ) -> tuple[Any, Any, Any]:

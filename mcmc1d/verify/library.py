@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.compiling import wide_jit
 from mcmc1d.metropolis import Cycle, Kernel, Metropolis
-from mcmc1d.numerics import cast, jit_with
+from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
@@ -59,7 +60,7 @@ class LibrarySubject(Subject):
         return positions(target, after), np.asarray(kind)
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _advance_library(
     key: Key, kernel: Kernel, target: Multiplexed, state: State, span: tuple[Array, Array], most: Array
 ) -> tuple[State, Any, Any]:

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance, rising
+from mcmc1d.compiling import wide_jit
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
-from mcmc1d.numerics import cast, jit_with, require
+from mcmc1d.numerics import cast, require
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index, UInt32
 from mcmc1d.verify.cells import net_points, sobol
@@ -65,7 +66,7 @@ def deposit_law(
     return DepositLaw(each.mean(0), each.std(0, ddof=1) / np.sqrt(scrambles))
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _sums(
     kernel: Kernel,
     target: Multiplexed,

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators.image import Layer, Sums
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Pinhole, Scene, distance
-from mcmc1d.numerics import cast, jit_with
+from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
@@ -104,7 +105,7 @@ def _sums(key: Key, target: Multiplexed, paths: Paths | None, samples: int, boun
     return Sums(steps * _LANES, total, squares, bound)
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _sampled(key: Key, target: Multiplexed, paths: Paths | None, first: Array, count: Array) -> tuple[Array, Array]:
     """Of each lane and pixel the sum over `count` samples, and that of their squares: two of shape (pixels, lanes)."""
     dtype = jnp.zeros(()).dtype

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.integrators.base import Integrator
 from mcmc1d.flatland.integrators.image import Layer, Sums
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.flatland.scene import Scene
-from mcmc1d.numerics import below_one, cast, jit_with
+from mcmc1d.numerics import below_one, cast
 from mcmc1d.random import uniforms
 from mcmc1d.types import Array, Float, Key
 
@@ -58,7 +59,7 @@ class Passes(Integrator):
         return Layer(edges, float(pixels), Sums(passes, total, squares, bound), None, passes * self.rays(paths))
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _summed(key: Key, integrator: Passes, paths: Paths, steps: Array) -> tuple[Array, Array]:
     """Of each pixel and lane the sum over `steps` passes of the mean over the cameras, and that of its square."""
     dtype = jnp.zeros(()).dtype

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import run
+from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest, multiplexed
 from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.flatland.integrators.image import Layer, Sums
@@ -15,7 +16,7 @@ from mcmc1d.flatland.paths import Paths
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
-from mcmc1d.numerics import cast, jit_with, require
+from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Key
@@ -116,7 +117,7 @@ class EnergyRedistribution(Integrator):
         return np.concatenate(means)[: len(index)] if means else np.zeros((0, paths.sensor.pixels))
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _energies(key: Key, target: Multiplexed, batch: Array) -> tuple[State, Float[Array, " n"], Float[Array, " n"]]:
     """Independent (index, u), the energy of each, and a uniform number."""
     dtype = jnp.zeros(()).dtype
