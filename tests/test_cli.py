@@ -37,7 +37,7 @@ def refuses(key, x):
     raise ValueError("only\\non Sundays")
 """
 ROOT = Path(__file__).parents[1]
-SMALL = ["--replicas", "512"]
+SMALL = ["--replicas", "16384"]
 
 
 @pytest.fixture(autouse=True)
@@ -65,7 +65,7 @@ def test_pass_is_0_and_the_files_are_written(folder, capsys):
     assert out.startswith("PASS  ar on norm")
     assert not err
     certificate = json.loads((folder / "a.json").read_text())
-    assert (certificate["verdict"], certificate["seed"], certificate["first_replicas"]) == ("PASS", 4, 512)
+    assert (certificate["verdict"], certificate["seed"], certificate["first_replicas"]) == ("PASS", 4, 16384)
     assert (folder / "a.pdf").read_bytes().startswith(b"%PDF")
     assert {path.suffix for path in folder.iterdir() if path.is_file()} == {".py", ".json", ".pdf"}
 
@@ -168,6 +168,14 @@ def test_the_example_in_the_help_works(folder):
     assert result.stdout.startswith("PASS  step on two modes")
     assert json.loads((folder / "step.json").read_text())["verdict"] == "PASS"
     assert not result.stderr
+
+
+def test_a_reader_that_goes_away_changes_no_verdict():
+    """As `mcmc1d verify ... | head -1` does."""
+    command = [sys.executable, "-m", "mcmc1d", "verify", "kernels.py:wrong", "--target", "kernels.py:law", *SMALL]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        assert (process.wait(), process.stderr.read()) == (1, "")
 
 
 def test_it_is_a_module_too_and_says_its_version():

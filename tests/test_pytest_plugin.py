@@ -1,7 +1,7 @@
 """The pytest plugin as a stranger has it: the built wheel, in a project of its own, in a process of its own.
 
-All seeds are fixed, so that nothing here fails by chance; the wrong kernel's CDF is off by 0.38, and 512 replicas
-detect 0.18 with probability 0.99.
+All seeds are fixed, so that nothing here fails by chance; the wrong kernel's CDF is off by 0.38, and 16384 replicas
+detect 0.031 with probability 0.99.
 """
 
 import json
@@ -23,7 +23,7 @@ from scipy.stats import norm
 from mcmc1d.verify import HostKernel
 
 LAW = norm(0.5, 2)
-FAST = {"replicas": 512, "steps": (1, 2)}
+FAST = {"replicas": 16384, "steps": (1, 2)}
 
 def kernel(shift=0.0, name="autoregressive"):
     def step(rng, x):
@@ -169,7 +169,7 @@ def test_the_summary_accounts_for_the_level(alone):
     assert len(quarters) == 1
     assert "test_right_and_its_twin (call 3)" in quarters[0]
     assert len([line for line in lines if "which must fail  level 0.0e+00" in line]) == twins
-    detects = re.compile(r"detects a gap of 0\.\d+ with probability 0\.99  \d+ replicas  seed \d+$")
+    detects = re.compile(r"detects a gap of 0\.\d+ with probability 0\.99  [\d,]+ replicas  seed \d+$")
     assert all(detects.search(line) for line in lines if line not in errors)
     assert last.startswith(f"spent {share * (8 / 2 + 1 / 4):.1e} of the level 1.0e-04")
     assert last.endswith("(seed 7)")

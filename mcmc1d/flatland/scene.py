@@ -127,6 +127,7 @@ class Scene:
         for k, segment in enumerate(self.segments):
             finite = bool(np.isfinite([*segment.start, *segment.end]).all())
             require(finite, f"scene {self.name}: {self.label(k)} has an end that is not finite: {segment}")
+        for k, segment in enumerate(self.segments):
             require(
                 segment.length > 1e-6 * self._extent(),
                 f"scene {self.name}: {self.label(k)} has no length: it runs from {segment.start} to {segment.end}",

@@ -71,14 +71,12 @@ def blackjax(algorithm: Any, *, name: str = "", reversible: bool | None = None) 
     """A BlackJAX `SamplingAlgorithm` (`blackjax.nuts(logdensity, ...)`), whose states have a `position`."""
     import inspect
 
-    required = [
-        parameter
-        for parameter in inspect.signature(algorithm.init).parameters.values()
-        if parameter.default is parameter.empty and parameter.kind is not parameter.VAR_KEYWORD
-    ]
+    # The second parameter is the key: of some algorithms, such as ghmc, it has a default that does not work.
+    parameters = inspect.signature(algorithm.init).parameters.values()
+    keyed = sum(p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD) for p in parameters) > 1
 
     def init(key: Any, position: Any) -> Any:
-        return algorithm.init(position, key) if len(required) > 1 else algorithm.init(position)
+        return algorithm.init(position, key) if keyed else algorithm.init(position)
 
     label = name or "blackjax " + _module(algorithm.step)
     return JaxKernel(algorithm.step, init, lambda state: state.position, reversible=reversible, name=label)

@@ -15,7 +15,8 @@ from mcmc1d.verify.law import Bins, Continuous, Law, Position, Statistic
 from mcmc1d.verify.subject import Look
 
 _CUTS = 64
-_JOINT = {1: 32, 2: 10, 3: 5}  # cells a coordinate in a joint test, by the number of coordinates
+_JOINT = {2: 10, 3: 5}  # cells a coordinate in a joint test, by the number of coordinates; of more, below and above
+_ORTHANTS = 8  # coordinates at most that are looked at so: 256 cells
 _PAIRS = 12  # cells of a statistic whose first and last values are compared: 66 pairs
 
 
@@ -30,10 +31,11 @@ def design(
 ) -> list[Test]:
     """The tests for a law; `draws`, exact and used for nothing else, set the cells' ends.
 
-    A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are joint cells of up to
-    three coordinates and the density. Auxiliary coordinates named "u" stay out of the joint cells. Deposits are held to
-    the law of the positions, or to what is known of their own, `deposited`; `max_weight` is the largest total weight of
-    a step over the expected one.
+    A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are the density and joint
+    cells: of up to three coordinates; of more, those of neighbours, and the orthants about the medians of up to eight.
+    Auxiliary coordinates named "u" stay out of the joint cells. Deposits are held to the law of the positions, or to
+    what is known of their own, `deposited`; `max_weight` is the largest total weight of a step over the expected one.
+    Raises `ValueError` for a CDF that falls.
     """
     known = dict(law.statistics)
     columns = coordinates(draws)
@@ -44,6 +46,7 @@ def design(
         known |= {"x": Bins(*(np.asarray(part, np.float64) for part in law.bins)).statistic()}
     tests: list[Test] = []
     for name, statistic in known.items():
+        _require_rising(law, name, statistic, draws)
         ordered = isinstance(statistic, Continuous) or statistic.ordered
         layer = "marginal" if ordered and (name in columns or scalar) else "joint"
         tests.append(OneSample(name, statistic, layer, places=_places(statistic, draws)))
@@ -63,7 +66,7 @@ def design(
     main = [name for name, values in columns.items() if np.ptp(values) > 0 and not auxiliary(name)]
     if len(main) > 1:
         for group in (group for group in _groups(main) if ", ".join(group) not in known):
-            inner = tuple((name, _quantiles(columns[name], _JOINT[len(group)])) for name in group)
+            inner = tuple((name, _quantiles(columns[name], _JOINT.get(len(group), 2))) for name in group)
             joint = _Joint(inner)
             ends = np.arange(1, joint.cells) - 0.5
             tests.append(TwoSample(", ".join(group), joint, ends, "joint", ordered=False))
@@ -158,6 +161,23 @@ class _Marginal(Continuous):
         return self.table(where)[:, self.column]
 
 
+def _require_rising(law: Law, name: str, statistic: Statistic, draws: Position) -> None:
+    """Raise `ValueError` for a CDF that falls: 1 - CDF would pass where the law is symmetric."""
+    if not isinstance(statistic, Continuous):
+        return
+    value, probability = np.asarray(statistic.value(draws), np.float64), statistic.probability(draws)
+    if probability.shape == value.shape:  # what is not, is told when it is counted
+        order = np.argsort(value)
+        falls = np.diff(probability[order]) < -1e-6
+        k = int(np.argmax(falls))
+        require(
+            not falls.any(),
+            f"{law.name}: the cdf of {name} falls from {probability[order][k : k + 1]} at {value[order][k : k + 1]} to "
+            f"{probability[order][k + 1 : k + 2]} at {value[order][k + 1 : k + 2]}; a CDF is the probability of a "
+            "value at most this",
+        )
+
+
 def _places(statistic: Statistic, draws: Position) -> np.ndarray | None:
     """A continuous statistic's values at the ends of the pooled cells, as near as the draws tell."""
     if not isinstance(statistic, Continuous):
@@ -178,7 +198,8 @@ def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
 
 
 def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Which coordinates are looked at jointly: all of up to three, and every neighbouring pair of more."""
-    if len(names) <= 3:
-        return [tuple(names), *(itertools.pairwise(names) if len(names) == 3 else [])]
-    return list(itertools.pairwise(names))
+    """Which coordinates are looked at jointly: all of up to three; of more, blocks of eight; and neighbouring pairs."""
+    if len(names) == 2:
+        return [tuple(names)]
+    blocks = [tuple(names[k : k + _ORTHANTS]) for k in range(0, len(names), _ORTHANTS)]
+    return [*(block for block in blocks if len(block) > 2), *itertools.pairwise(names)]

@@ -55,7 +55,8 @@ def verify(
         seconds: what a first stage may take, in stepping and counting; compiling comes on top, and so do further
             stages, which a right kernel needs with a probability of 0.04: as large, or four times as large where that
             takes less than `seconds` too. One that needs less takes less.
-        replicas: how many in the first stage, whatever that takes; INCONCLUSIVE where they do not show the `gap`.
+        replicas: how many in the first stage, whatever that takes; INCONCLUSIVE where they do not show the `gap`, 0.05
+            unless given.
         steps: after how many steps the law is tested.
         reversible: declare detailed balance, so that (first, last) must be exchangeable. Declared for moves of this
             library, and for nothing else.
@@ -78,7 +79,11 @@ def verify(
     law = replace(law, statistics={**law.statistics, **(statistics or {})})
     subject = as_subject(kernel, target, law, reversible=reversible, deposits=deposits, max_weight=max_weight)
     require(
-        isinstance(steps, Sequence) and list(steps) == sorted(set(steps)) and len(steps) > 0 and steps[0] >= 1,
+        isinstance(steps, Sequence)
+        and not isinstance(steps, str)
+        and list(steps) == sorted(set(steps))
+        and len(steps) > 0
+        and steps[0] >= 1,
         f"steps are whole numbers that rise from 1 on, such as (1, 4, 16, 64), not {steps}",
     )
     require(level is None or ledger is None, "give level= or ledger=, not both: the ledger deals out the level")
@@ -96,4 +101,4 @@ def verify(
     trial.prepare()
     trial.size(gap, seconds, replicas)
     trial.decide(ergodic)
-    return trial.report(name, seed, gap, replicas, time.perf_counter() - began)
+    return trial.report(name, seed, gap, time.perf_counter() - began)

@@ -72,7 +72,8 @@ def forgets(
                 return Forgetting(
                     reasons=[
                         f"it is periodic: from {point(first, g * n)} the laws after {t} and {t + 1} steps are "
-                        f"{now:.2f} and {then:.2f} from the right one, and their mean is not"
+                        f"{now:.2f} and {then:.2f} from the right one, and only their mean is near it (ergodic=False "
+                        "asks no more than that the law is kept)"
                     ]
                 )
         worst = int(np.argmax(gaps))
@@ -92,7 +93,8 @@ def forgets(
     return Forgetting(
         doubts=[
             f"it has not forgotten a bad start: from {point(first, own.start)} its distance in CDF from the law is "
-            f"{', '.join(history[worst])} steps; it is slow, or can not get everywhere (ergodic=False leaves this out)"
+            f"{', '.join(history[worst])} steps; it is slow, or can not get everywhere, or keeps another "
+            "law, which more steps= or reversible=True may show (ergodic=False leaves this out)"
         ]
     )
 

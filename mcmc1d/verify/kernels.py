@@ -41,9 +41,11 @@ class JaxKernel(eqx.Module):
 
     def begin(self, key: Key, position: Any) -> Any:
         """The state at a position."""
-        state = position if self.init is None else self.init(key, position)
-        # A Python number in a state becomes an array at the first step; it had better be one from the start.
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, int | float) else leaf, state)
+        return _arrays(position if self.init is None else self.init(key, position))
+
+    def move(self, key: Key, state: Any) -> Any:
+        """What the step returns."""
+        return _arrays(self.step(key, state))
 
     def where(self, state: Any) -> Any:
         """The position of a state."""
@@ -80,7 +82,7 @@ class JaxSubject(Subject):
         key = jax.random.key(0)
         try:
             state = eqx.filter_eval_shape(self.kernel.begin, key, one)
-            out = eqx.filter_eval_shape(self.kernel.step, key, state)
+            out = eqx.filter_eval_shape(self.kernel.move, key, state)
         except (*_UNTRACEABLE, TypeError, AttributeError) as error:
             raise ValueError(
                 f"{self.name} can not be traced by JAX as step(key, position) of one chain ({type(error).__name__}: "
@@ -114,6 +116,14 @@ class JaxSubject(Subject):
 
     def prepare(self, start: Position) -> Position:
         return jax.tree.map(_to_default, start)
+
+    def drawn(self, start: Position) -> bool:
+        if self.kernel.init is None:
+            return False
+        one = jax.tree.map(lambda a: jnp.asarray(a[0]), start)
+        parts = [jax.tree.leaves(eqx.filter_jit(self.kernel.begin)(jax.random.key(k), one)) for k in (0, 1)]
+        pairs = [pair for pair in zip(*parts, strict=True) if not jnp.issubdtype(pair[0].dtype, jax.dtypes.extended)]
+        return any(bool(np.any(np.asarray(a) != np.asarray(b))) for a, b in pairs)
 
     def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
         key = key_of(seed)
@@ -194,7 +204,7 @@ def _advance(
     keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(ids)
 
     def one(key: Key, state: Any, t: Array) -> tuple[Any, Any]:
-        out = kernel.step(jax.random.fold_in(key, t + 1), state)
+        out = kernel.move(jax.random.fold_in(key, t + 1), state)
         state, info = out if returns_info else (out, None)
         if kernel.deposits is None:
             return state, None
@@ -207,6 +217,11 @@ def _advance(
     empty = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(batch, states, first)[1])
     states, picked = jax.lax.fori_loop(first, last, lambda t, carry: batch(carry[0], t), (states, empty))
     return states, jax.vmap(kernel.where)(states), picked
+
+
+def _arrays(tree: Any) -> Any:
+    """With Python's numbers as arrays: which of the two a state holds must not change from step to step."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, int | float) else leaf, tree)
 
 
 def _to_default(a: np.ndarray) -> np.ndarray:

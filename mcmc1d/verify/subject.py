@@ -87,6 +87,10 @@ class Subject(abc.ABC):
         """Exact draws in the precision in which the kernel runs."""
         return start
 
+    def drawn(self, start: Position) -> bool:
+        """Whether a part of the state, beside the position, is drawn at random by who gave the kernel."""
+        return False
+
     def crowd(self, points: Position, unlikely: Position, n: int) -> list[Position]:
         """`n` replicas at each of a few bad points; `unlikely` are exact draws, the least likely first."""
         count = len(jax.tree.leaves(points)[0])

@@ -175,6 +175,7 @@ class Trial:
                 f"{self.sampler.law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} "
                 f"from {tally.n} draws): {where}. Mend the sampler, the cdf, bins or masses"
                 + ("; the draws are whole numbers, whose law is given as a verify.Discrete" if whole else "")
+                + self._coarse()
             )
         worst = min(values, key=lambda key: values[key])
         test, after = self.tests[worst[1]], f"after {worst[0]} step{'s' * (worst[0] > 1)}"
@@ -187,6 +188,15 @@ class Trial:
                 "exchangeability": f"it is declared reversible and is not: {test.name} {after}",
             }[test.layer]
         )
+
+    def _coarse(self) -> str:
+        """A word on draws whose coordinates lie so far from zero that their floats are coarse."""
+        for name, values in coordinates(self.unlikely).items():
+            if values.dtype == np.float32 and np.ptp(values) > 0:
+                step = float(np.spacing(np.abs(values).max()))
+                if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):
+                    return f"; in float32 {name} has steps of {step:.2g}: verify it with jax.enable_x64(True)"
+        return ""
 
     def forget(self) -> None:
         """Whether chains from some bad points come near the law, and after how many steps."""
@@ -220,12 +230,11 @@ class Trial:
             return points
         return jax.tree.map(lambda a, b: np.concatenate([np.asarray(b, a.dtype)[None], a]), points, bad)
 
-    def report(self, name: str, seed: int, gap: float | None, replicas: int | None, seconds: float) -> Report:
+    def report(self, name: str, seed: int, gap: float | None, seconds: float) -> Report:
         """The verdict and all that it rests on."""
         bought = self.power.gap(self.n, self.grow)
         limit = SETTLE if gap is None else gap
-        asked = (replicas is None or gap is not None) and limit * (1 + 1e-9) < bought < np.inf
-        if not self.reasons and (asked or 1 <= bought < np.inf):
+        if not self.reasons and limit * (1 + 1e-9) < bought < np.inf:
             self.inconclusive.append(
                 f"a gap of {limit:g} with probability {self.sure:g} is out of reach: {self.n} replicas detect "
                 f"{bought:.2g}; allow more seconds= or replicas=, or a larger gap="
@@ -253,6 +262,11 @@ class Trial:
         sampler, subject = self.sampler, self.sampler.subject
         if verdict is Verdict.FAIL and isinstance(subject, LibrarySubject) and self.deciding.counts:
             diagnosis = diagnose(subject, sampler.words("one step"), sampler.draw("diagnosis", 0, 0, 2**17))
+        if verdict is Verdict.FAIL and subject.drawn(self.unlikely):
+            diagnosis.append(
+                "init draws a part of the state: from another law than its own (a momentum of another scale), a right "
+                "kernel fails too"
+            )
         return Report(
             name=name,
             kernel=subject.name,

@@ -105,6 +105,26 @@ def test_a_power_out_of_reach_is_inconclusive():
     assert report.gap > 0.001
 
 
+def test_too_few_replicas_are_no_pass():
+    """Without a gap of the user's, 0.05 must be shown, whoever has chosen the number."""
+    report = verify.verify(independent, NORMAL, replicas=100)
+    assert report.verdict is Verdict.INCONCLUSIVE
+    assert "out of reach" in str(report)
+    assert verify.verify(independent, NORMAL, replicas=100, gap=0.5).passed
+
+
+def test_orthants_of_many_coordinates():
+    """Three of five coordinates whose signs multiply to the sign that they had: every pair is right."""
+
+    def parity(key, x):
+        y = jax.random.normal(key, x.shape)
+        return y.at[0].multiply(jnp.sign(jnp.prod(y[:3])))
+
+    report = verify.verify(parity, laws.normal(5), **SMALL)
+    assert {failure.layer for failure in report.failures} == {"joint"}
+    assert verify.verify(independent, laws.normal(5), **SMALL).passed
+
+
 def test_half_a_sweep_is_right_and_may_say_so():
     law = laws.correlated(0.8)
 
@@ -255,6 +275,8 @@ def test_a_certificate_is_json_and_a_plot_is_drawn():
         (WALK, Law(lambda rng, n: np.full(n, np.nan), cdf=ndtr), {}, "NaN"),
         (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: x), {}, "must lie in"),
         (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: 0.5), {}, "must return shape"),
+        (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: ndtr(-x)), {}, "the cdf of x falls"),
+        (WALK, scipy.stats.norm(1e6, 1), {}, r"in float32 x has steps of 0.06.*enable_x64"),
     ],
 )
 def test_what_can_not_be_verified_is_refused_in_words(kernel, law, options, message):
