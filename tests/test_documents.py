@@ -4,11 +4,14 @@ import importlib.util
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import experiments
 from experiments.support import framework
+from mcmc1d.flatland import files
+from mcmc1d.flatland.reference import image
 from mcmc1d.verify import check_move, check_technique, verify
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +42,17 @@ def test_readme_examples_run_and_pass(capsys):
     # 40 cells within 5 standard errors from 8 blocks (t, 7 degrees of freedom): a false alarm has probability 0.06 at
     # another seed and none at this one; the smallest error seen is 5 standard errors, 0.002 of the whole.
     assert abs((run.mean("law") - exact) / run.standard_error("law")).max() < 5
+
+
+def test_the_scene_of_the_readme_is_the_same_from_python_and_from_a_file(tmp_path):
+    (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    (tmp_path / "mine.toml").write_text(text)
+    names: dict[str, Any] = {"image": image}
+    exec(next(block for block in blocks("README.md") if "import Material" in block), names)
+    read, made = files.read(tmp_path / "mine.toml"), names["seen"]
+    assert (read.name, read.sensor) == (made.name, made.sensor)
+    walls = [[(wall.start, wall.end, wall.material) for wall in scene.segments] for scene in (read, made)]
+    assert walls[0] == walls[1]
 
 
 def test_technique_skeleton_is_one_file(tmp_path):

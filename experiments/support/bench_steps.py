@@ -14,6 +14,7 @@ import numpy as np
 
 import mcmc1d
 from experiments.support.bench import Go
+from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Move, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.numerics import cos_turns, limit, sin_turns
 from mcmc1d.targets import Sinusoid
@@ -82,8 +83,8 @@ def contestants(work: float) -> dict[str, Contestant]:
     return found
 
 
-def library(target: mcmc1d.Multiplexed, move: Move, steps: int, source: str, chains: int = CHAINS) -> Go:
-    """The library's public `run`, with a histogram of expected-value deposits, compiled."""
+def library(target: mcmc1d.Multiplexed, move: Move | Kernel, steps: int, source: str, chains: int = CHAINS) -> Go:
+    """The library's public `run`, with a histogram of its deposits, compiled."""
     start = mcmc1d.exact_start(jax.random.key(0), target, chains)
     estimators = {"x": mcmc1d.Histogram(BINS)}
 

@@ -14,6 +14,7 @@ import numpyro
 import mcmc1d
 from experiments.baselines import autocorrelation_time
 from experiments.support.bench_steps import Contestant, library
+from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
 from mcmc1d.targets import GaussianMixture
 from mcmc1d.techniques import Uniform
@@ -32,7 +33,7 @@ def target() -> mcmc1d.Multiplexed:
 def contestants(work: float) -> dict[str, Contestant]:
     """Each keeps no more than it must: this library a histogram, the others the last state."""
     line, steps = target(), max(1, int(STEPS * work))
-    walk = SmallStep(SIGMA)
+    walk = Metropolis(SmallStep(SIGMA), "plain")  # a histogram of the states, and no expected values
     ours = {source: library(line, walk, steps, source) for source in ("threefry", "hash32")}
     x = mcmc1d.trace(jax.random.key(0), walk, line, steps=LONG, chains=FEW).x
     found = {name: Contestant(go, autocorrelation_time(x)) for name, go in ours.items()}
