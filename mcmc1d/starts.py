@@ -45,17 +45,18 @@ def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normal
     return Normalisation(target.n_techniques * mean, target.n_techniques * float(deviation))
 
 
-def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) -> State:
+def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, index: int | None = None) -> State:
     """`count` independent evaluated states, drawn exactly from the target by rejection: no burn-in, no inverse trusted.
 
     The bound is the largest density among 2**16 probes, with a quarter to spare; should a candidate exceed it, it is
-    raised and everything is drawn again. A peak that all of the probes and candidates miss is missed. Raises
+    raised and everything is drawn again. A peak that all of the probes and candidates miss is missed. With an `index`,
+    from the target given that technique. Raises
     `ValueError` where the density is zero at every probe, is not finite, or is too narrow for rejection.
     """
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     target = cast(target, dtype)
     probe_key, key = jax.random.split(key)
-    probes = np.asarray(_draw(probe_key, target, _CANDIDATES, dtype)[1], np.float64)
+    probes = np.asarray(_draw(probe_key, target, _CANDIDATES, dtype, index)[1], np.float64)
     bound = 1.25 * float(np.max(probes, where=np.isfinite(probes), initial=0))  # what is not finite is told below
     require(
         bound > 0, f"{type(target.target).__name__}: the density is zero at all of 65536 probes; nothing to start from"
@@ -63,7 +64,7 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None) ->
     kept: list[State] = []
     found, attempt, since = 0, 0, 0
     while found < count:
-        state, density, uniform = _draw(jax.random.fold_in(key, attempt), target, _CANDIDATES, dtype)
+        state, density, uniform = _draw(jax.random.fold_in(key, attempt), target, _CANDIDATES, dtype, index)
         attempt += 1
         density = np.asarray(density, np.float64)
         if not np.isfinite(density).all():
@@ -133,10 +134,11 @@ def require_defined(target: Multiplexed, state: State, trapped: Bool[Array, " ch
 
 @eqx.filter_jit
 def _draw(
-    key: Key, target: Multiplexed, count: int, dtype: Any
+    key: Key, target: Multiplexed, count: int, dtype: Any, only: int | None = None
 ) -> tuple[State, Float[Array, " count"], Float[Array, " count"]]:
-    """States uniform on (i, u), their densities, and a uniform number for each."""
+    """States uniform on (i, u), or u alone, their densities, and a uniform number for each."""
     numbers = uniforms(key, _DRAWS, (target.dim_u + 2, count), dtype)
     index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
+    index = index if only is None else jnp.full_like(index, only)
     state = jax.vmap(target.evaluate)(State(index, numbers[2:].T))
     return state, jnp.exp(state.seen.log_c), numbers[1]

@@ -2,7 +2,7 @@
 
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.candidates import Antithetic, Candidates, Independent, Rotated, Stratified
-from mcmc1d.moves.exchange import CoordinateStep, Exchange
+from mcmc1d.moves.exchange import CoordinateStep, Exchange, ReplicaStep
 from mcmc1d.moves.mixture import Mixture
 from mcmc1d.moves.multiple_try import MultipleTry
 from mcmc1d.moves.perturbations import LinearStep, TruncatedStep, UniformStep
@@ -26,6 +26,7 @@ __all__ = [
     "Move",
     "MultipleTry",
     "Proposal",
+    "ReplicaStep",
     "Returning",
     "ReversibleJump",
     "Rotated",

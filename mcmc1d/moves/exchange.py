@@ -1,9 +1,12 @@
-"""Moves of single coordinates of u: block-wise steps, and the exchange of two replicas."""
+"""Moves of some of the numbers of u: block-wise steps, steps of one replica, and the exchange of two."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
-from mcmc1d.moves.base import Move, Proposal, zero
+from mcmc1d.checks import require_instance
+from mcmc1d.moves.base import EachNumber, Move, Proposal, zero
+from mcmc1d.moves.primary import LargeStep
 from mcmc1d.numerics import normal_quantile, parameter, require, require_positive, wrap
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index, Scalar
@@ -37,24 +40,60 @@ class CoordinateStep(Move):
         return Proposal(State(state.index, u), w.at[-1].set(1 - w[-1]), zero(u))
 
 
-class Exchange(Move):
-    """Two neighbouring coordinates of u swap their numbers: replica exchange (Swendsen and Wang 1986; Geyer 1991).
+class ReplicaStep(Move):
+    """A step of one replica, `width` neighbouring numbers of u; the others keep theirs.
 
-    With one technique for every coordinate the samples are swapped, and the acceptance ratio is that of the product
-    target, f(x)^(b - b') f(x')^(b' - b). w_0 chooses the pair and is kept.
+    (w_0, ...): w_0 chooses the replica and is kept, the others are those of the step.
     """
+
+    step: EachNumber
+    width: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self):
+        require_instance(self.step, EachNumber, "ReplicaStep: the step", "; give a SmallStep or a LargeStep")
+
+    def dim_w(self, target: Multiplexed) -> int:
+        return 1 + self.width
+
+    def check(self, target: Multiplexed) -> None:
+        _require_replicas("ReplicaStep", target, self.width, 1)
+
+    def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
+        first = self.width * nth(w[0], target.dim_u // self.width)
+        own = jax.lax.dynamic_slice(state.u, (first,), (self.width,))
+        stepped = self.step.propose(target, State(state.index, own), w[1:])
+        u = jax.lax.dynamic_update_slice(state.u, stepped.state.u, (first,))
+        return Proposal(State(state.index, u), w.at[1:].set(stepped.w), stepped.log_det)
+
+
+class Exchange(Move):
+    """Two neighbouring replicas swap their numbers: replica exchange (Swendsen and Wang 1986; Geyer 1991).
+
+    A replica is `width` neighbouring numbers of u. With one technique for every replica the samples are swapped, and
+    the acceptance ratio is that of the product target, f(x)^(b - b') f(x')^(b' - b). w_0 chooses the pair and is kept.
+    """
+
+    width: int = eqx.field(static=True, default=1)
 
     def dim_w(self, target: Multiplexed) -> int:
         return 1
 
     def check(self, target: Multiplexed) -> None:
-        require(target.dim_u >= 2, f"Exchange: there must be two coordinates of u to swap, not {target.dim_u}")
+        _require_replicas("Exchange", target, self.width, 2)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " 1"]) -> Proposal:
-        m = target.dim_u
-        k, at = nth(w[0], m - 1), jnp.arange(m)
-        u = jnp.where(at == k, jnp.roll(state.u, -1), jnp.where(at == k + 1, jnp.roll(state.u, 1), state.u))
+        k, at = nth(w[0], target.dim_u // self.width - 1), jnp.arange(target.dim_u) // self.width
+        up, down = jnp.roll(state.u, -self.width), jnp.roll(state.u, self.width)
+        u = jnp.where(at == k, up, jnp.where(at == k + 1, down, state.u))
         return Proposal(State(state.index, u), w, zero(u))
+
+
+def _require_replicas(who: str, target: Multiplexed, width: int, least: int) -> None:
+    m = target.dim_u
+    require(
+        width >= 1 and m % width == 0 and m // width >= least,
+        f"{who}: {m} numbers of u are no {least} or more replicas of {width}",
+    )
 
 
 def nth(number: Scalar, n: int) -> Index:
@@ -66,4 +105,5 @@ EXAMPLES = {
     "coordinate_step": CoordinateStep(0.1),
     "coordinate_step_first": CoordinateStep(0.3, 0),
     "exchange": Exchange(),
+    "replica_step": ReplicaStep(LargeStep()),
 }

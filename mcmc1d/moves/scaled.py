@@ -32,7 +32,9 @@ class ScaledStep(EachNumber):
         # The same way round the ends as forth: what u' + s' z' wraps to is u, however often the step went around.
         back = -z * jnp.exp(log_ratio)
         log_det = target.dim_u * log_ratio + jnp.sum(z * z - back * back) / 2
-        return Proposal(proposed, ndtr(back), log_det)
+        # Where a number of the way back rounds to 0 or 1 there is none; such a step is all but never accepted.
+        numbers = ndtr(back)
+        return Proposal(proposed, numbers, jnp.where(jnp.all(numbers > 0), log_det, -jnp.inf))
 
     def _log_size(self, target: Multiplexed, state: State) -> Scalar:
         return jnp.log(self.sigma) - state.seen.log_det / target.dim_u

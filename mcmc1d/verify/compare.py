@@ -38,6 +38,8 @@ class Points:
     """What the rounding of an intermediate result may do to the outcome; it adds to the tolerance."""
     cap: float = np.inf
     """The largest tolerance: where eight roundings amplify to more than that, a point can not be checked."""
+    last_bits: np.ndarray | float = 0.0
+    """What the rounding of the image does to its log-determinant: far out in a tail that is all it is made of."""
 
     @property
     def regular(self) -> np.ndarray:
@@ -48,7 +50,7 @@ class Points:
     @property
     def tolerance(self) -> np.ndarray:
         """The tolerance at each point."""
-        return np.minimum(TOLERANCE[self.values.dtype] * self.condition + self.rounding, self.cap)
+        return np.minimum(TOLERANCE[self.values.dtype] * self.condition + self.rounding, self.cap) + self.last_bits
 
 
 def condition_number(jacobian: np.ndarray, slope: np.ndarray, log_det: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from mcmc1d.numerics import cast
 from mcmc1d.state import Multiplexed
 from mcmc1d.targets.gaussian_mixture import walls_and_valley
 from mcmc1d.techniques import Mixture, PiecewiseConstant, PiecewiseLinear, Ramp, Tent
-from mcmc1d.verify.compare import Points, compare, condition_number, log_abs_det
+from mcmc1d.verify.compare import Points, compare, condition_number, log_abs_det, steepness
 from mcmc1d.verify.contract import Check, ContractReport, numbers
 from mcmc1d.verify.points import cube_points
 from mcmc1d.verify.twice import Outcome, over
@@ -88,8 +88,11 @@ class _Contract:
         out = at(uw, np.arange(len(uw)))
         condition = condition_number(out.jacobian, out.slope, out.log_det)
         # Densities are looked up at x, whose last bits are felt where they are steep: four roundings, as a technique.
-        felt = 4 * np.finfo(self.dtype).eps * np.where(np.isfinite(out.felt), out.felt, 0)
-        points = Points(uw, condition, rounding=felt, cap=_LARGEST_TOLERANCE)
+        rounding = 4 * np.finfo(self.dtype).eps
+        felt = rounding * np.where(np.isfinite(out.felt), out.felt, 0)
+        image = np.abs(np.where(np.isfinite(out.uw), out.uw, 0))
+        bits = rounding * (steepness(out.jacobian, out.slope) * image).sum(1)
+        points = Points(uw, condition, rounding=felt, cap=_LARGEST_TOLERANCE, last_bits=bits)
         inside = ((out.uw >= 0) & (out.uw < 1)).all(1) & (out.index >= 0) & (out.index < n)
         possible = inside & np.isfinite(out.log_det)
 

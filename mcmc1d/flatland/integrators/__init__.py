@@ -8,6 +8,7 @@ from mcmc1d.checks import require_instance
 from mcmc1d.flatland.integrators.base import Integrator
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT, RJMLT
 from mcmc1d.flatland.integrators.coherent import CoherentMLT
+from mcmc1d.flatland.integrators.exchange import ReplicaExchange
 from mcmc1d.flatland.integrators.image import Image, Layer, Stacked, Sums
 from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, LightTracing, PathTracing
 from mcmc1d.flatland.integrators.instant import InstantRadiosity
@@ -41,6 +42,7 @@ FURTHER: dict[str, Integrator] = {
     "cmlt": CoherentMLT(),
     "cmlt_published": CoherentMLT(deposit="published"),
     "erpt": EnergyRedistribution(),
+    "rex": ReplicaExchange(),
 }
 """Others, by name: of the papers under test, and those whose light is biased, or without a bound."""
 
@@ -106,6 +108,7 @@ __all__ = [
     "LightTracing",
     "PathTracing",
     "PhotonDensity",
+    "ReplicaExchange",
     "Stacked",
     "Sums",
     "integrate",

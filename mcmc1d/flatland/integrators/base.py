@@ -9,7 +9,7 @@ import numpy as np
 
 from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.bidirectional import Bidirectional
-from mcmc1d.flatland.integrators.image import Layer, Sums
+from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Pinhole, Scene, distance
 from mcmc1d.numerics import cast
@@ -40,7 +40,7 @@ class Integrator(eqx.Module):
         """What is sampled: paths of one length, seen through techniques."""
 
     @abc.abstractmethod
-    def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
+    def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer | Stacked:
         """The light of `edges` edges by about so many samples: paths, or mutations of chains."""
 
 
@@ -85,18 +85,23 @@ def exposed(key: Key, target: Multiplexed, paths: Paths, samples: int, bound: fl
     return _sums(key, target, paths, samples, bound)
 
 
-def bootstrap(key: Key, target: Multiplexed, samples: int, bound: float) -> Sums:
-    """The same without a film, as sums of shape (1,): the integral of whatever `target` is, `Pooled` included."""
-    return _sums(key, target, None, samples, bound)
+def bootstrap(key: Key, target: Multiplexed, samples: int, bound: float, only: int | None = None) -> Sums:
+    """The same without a film, as sums of shape (1,): the integral of whatever `target` is, `Pooled` included.
+
+    With `only`, that of this technique's contribution alone.
+    """
+    return _sums(key, target, None, samples, bound, only)
 
 
-def _sums(key: Key, target: Multiplexed, paths: Paths | None, samples: int, bound: float) -> Sums:
+def _sums(
+    key: Key, target: Multiplexed, paths: Paths | None, samples: int, bound: float, only: int | None = None
+) -> Sums:
     pixels = 1 if paths is None else paths.sensor.pixels
     steps = max(1, -(-samples // _LANES))
     total, squares = np.zeros(pixels), np.zeros(pixels)
     for first in range(0, steps, _STEPS):
         count = min(_STEPS, steps - first)
-        lanes = _sampled(key, target, paths, jnp.asarray(first), jnp.asarray(count))
+        lanes = _sampled(key, target, paths, jnp.asarray(first), jnp.asarray(count), only)
         total, squares = (
             old + np.asarray(new, np.float64).sum(-1) for old, new in zip((total, squares), lanes, strict=True)
         )
@@ -106,7 +111,9 @@ def _sums(key: Key, target: Multiplexed, paths: Paths | None, samples: int, boun
 
 
 @wide_jit
-def _sampled(key: Key, target: Multiplexed, paths: Paths | None, first: Array, count: Array) -> tuple[Array, Array]:
+def _sampled(
+    key: Key, target: Multiplexed, paths: Paths | None, first: Array, count: Array, only: int | None
+) -> tuple[Array, Array]:
     """Of each lane and pixel the sum over `count` samples, and that of their squares: two of shape (pixels, lanes)."""
     dtype = jnp.zeros(()).dtype
     target, paths = cast((target, paths), dtype)
@@ -115,8 +122,9 @@ def _sampled(key: Key, target: Multiplexed, paths: Paths | None, first: Array, c
     def body(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
         numbers = uniforms(key, first + k, (target.dim_u + 1, _LANES), dtype)
         index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
+        index = index if only is None else jnp.full_like(index, only)
         seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:])).seen
-        value = (target.n_techniques * jnp.exp(seen.log_c))[None]
+        value = ((target.n_techniques if only is None else 1) * jnp.exp(seen.log_c))[None]
         if paths is not None:
             pixel = jax.vmap(paths.pixel, in_axes=-1)(seen.x)
             value = jnp.where(pixel[None] == jnp.arange(pixels)[:, None], value, 0)

@@ -34,12 +34,17 @@ class EachChain(Estimator):
     paths: Paths
     chains: int = eqx.field(static=True)
     """Of a block."""
+    only: int | None = eqx.field(static=True, default=None)
+    """Which of a step's deposits counts; all of them unless given."""
 
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "n c"]:
         return jnp.zeros((self.paths.sensor.pixels, self.chains), dtype)
 
     def update(self, sums: Float[Array, "n c"], steps: Step) -> Float[Array, "n c"]:
         paths, deposits = cast(self.paths, sums.dtype), steps.deposits
+        k = self.only
+        if k is not None:
+            deposits = jax.tree.map(lambda part: part[k : k + 1], deposits)
         row = jnp.arange(paths.sensor.pixels)[:, None]
 
         def one(sums: Float[Array, "n c"], deposit: tuple[Array, Array]) -> tuple[Float[Array, "n c"], None]:

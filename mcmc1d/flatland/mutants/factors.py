@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_instance
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.geometry import Vector
 from mcmc1d.flatland.integrators import MMLT, PSSMLT, BidirectionalPathTracing, LightTracing
@@ -120,8 +121,8 @@ class Rescaled(Integrator):
         return self.right.target(paths)
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
-        layer = self.right.render(key, scene, edges, samples)
-        return layer._replace(scale=layer.scale * self.factor(self.right, scene, layer))
+        layer = require_instance(self.right.render(key, scene, edges, samples), Layer, "Rescaled: the right layer")
+        return layer.scaled(self.factor(self.right, scene, layer))
 
 
 def _one_technique(right: Integrator, scene: Scene, layer: Layer) -> float:

@@ -1,0 +1,127 @@
+"""Replica exchange over techniques: one replica for each, on a product of primary sample spaces, which swap numbers."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mcmc1d.checks import require_instance
+from mcmc1d.metropolis import Deposits, OfMove, Step, accept
+from mcmc1d.moves import Move
+from mcmc1d.moves.exchange import Exchange
+from mcmc1d.numerics import parameter, require
+from mcmc1d.pooled import Floored
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.targets import Target
+from mcmc1d.techniques.product import cube
+from mcmc1d.types import Array, Corners, Float, Real, Scalar
+
+
+class Replicated(Target):
+    """prod_i C_i(u_i), C_i = w_i f / p_i: independent chains, one for each technique, as one point of a larger cube.
+
+    With respect to du on the cube of all their numbers, which is its domain. Replica i has the law C_i / c_i, c_i the
+    integral of w_i f; the sum of c_i times what it samples is f.
+    """
+
+    multiplexed: Multiplexed
+    techniques: tuple[int, ...] = eqx.field(static=True)
+    """Those that have a replica: a technique whose contribution is zero everywhere can have none."""
+
+    def __check_init__(self):
+        require_instance(self.multiplexed, Multiplexed, "Replicated: what is replicated")
+        n, chosen = self.multiplexed.n_techniques, self.techniques
+        require(
+            len(chosen) > 0 and len(set(chosen)) == len(chosen) and all(0 <= i < n for i in chosen),
+            f"Replicated: techniques are different ones of 0 to {n - 1}, not {chosen}",
+        )
+
+    @property
+    def domain(self) -> Corners:
+        m = len(self.techniques) * self.multiplexed.dim_u
+        return (0.0, 1.0) if m == 1 else (np.zeros(m), np.ones(m))
+
+    def contributions(self, u: Float[Array, " m"]) -> tuple[Float[Array, "n ..."], Float[Array, " n"]]:
+        """(x_i, log C_i) of every replica."""
+        each = jnp.reshape(u, (len(self.techniques), self.multiplexed.dim_u))
+        states = State(jnp.asarray(self.techniques, jnp.int32), each)
+        found = jax.vmap(lambda i, u: self.multiplexed.evaluate(State(i, u)).seen)(states.index, states.u)
+        return found.x, found.log_c
+
+    def log_f(self, x: Float[Array, "..."]) -> Scalar:
+        """Sum of log C_i at u = x; -inf outside of the cube."""
+        u = jnp.atleast_1d(x)
+        return jnp.where(jnp.all((u >= 0) & (u <= 1)), self.contributions(u)[1].sum(), -jnp.inf)
+
+    def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
+        """The exact integral over each box, for techniques of one number: `edges` of every u, or one array for all."""
+        require(self.multiplexed.dim_u == 1, "Replicated: the masses of boxes are known for techniques of one number")
+        shared = isinstance(edges, np.ndarray) and edges.ndim == 1
+        each = [edges] * len(self.techniques) if shared else list(edges)
+        require(len(each) == len(self.techniques), f"Replicated: give the edges of {len(self.techniques)} numbers")
+        n, masses = self.multiplexed.n_techniques, np.ones(())
+        for i, own in zip(self.techniques, each, strict=True):
+            # In the floored index's law technique i has one n-th of its integral.
+            row = n * Floored(self.multiplexed).bin_masses((np.array([i, i + 1]) / n, np.asarray(own)))[0]
+            masses = masses[..., None] * row
+        return masses
+
+
+def replicated(multiplexed: Multiplexed, techniques: tuple[int, ...] | None = None) -> Multiplexed:
+    """The target of replica exchange over techniques, all of them unless given: `Replicated` on its cube, x = u.
+
+    `moves.exchange.ReplicaStep` steps one replica, `Exchange` swaps two; their width is `multiplexed.dim_u`.
+    """
+    chosen = tuple(range(multiplexed.n_techniques)) if techniques is None else tuple(techniques)
+    return Multiplexed(Replicated(multiplexed, chosen), cube(len(chosen) * multiplexed.dim_u), probes=0)
+
+
+class ReplicaDeposit(OfMove[Move]):
+    """Step, and deposit the sample of every replica, with weight `shares`; a deposit's index is its technique.
+
+    With c_i / sum_j c_j as shares, the deposits have the law f / b.
+    """
+
+    move: Move
+    shares: Float[Real, " n"] = eqx.field(converter=parameter)
+
+    def __check_init__(self):
+        require_instance(self.move, Move, "ReplicaDeposit: the move")
+
+    def check(self, target: Multiplexed) -> None:
+        own = _replicated(target)
+        self.move.check(target)
+        shape = np.shape(self.shares)
+        require(
+            shape == (len(own.techniques),),
+            f"ReplicaDeposit: {len(own.techniques)} replicas have as many shares, not an array of shape {shape}",
+        )
+
+    def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
+        own = _replicated(target)
+        step = accept(target, state, self.move.propose(target, state, w[:-1]), w[-1], "plain")
+        x, _ = own.contributions(step.state.u)
+        weight = jnp.asarray(self.shares, w.dtype)
+        return Step(step.state, Deposits(x, jnp.asarray(own.techniques, jnp.int32), weight), step.info)
+
+
+def _replicated(target: Multiplexed) -> Replicated:
+    return require_instance(target.target, Replicated, "ReplicaDeposit: the chain's target", "; see replicated()")
+
+
+def _examples() -> dict[str, Target | ReplicaDeposit]:
+    from mcmc1d.targets import Sinusoid
+    from mcmc1d.techniques import Ramp, Tent
+
+    multiplexed = Multiplexed(Sinusoid(0.9, 1.5, 0.1), (Tent(0.3), Ramp(1.2)))
+    return {
+        "replicated": Replicated(multiplexed, (0, 1)),
+        "replica_deposit": ReplicaDeposit(Exchange(), np.array([0.5, 0.5])),
+    }
+
+
+EXAMPLES = _examples()
+
+__all__ = ["ReplicaDeposit", "Replicated", "replicated"]
