@@ -105,12 +105,19 @@ class _Sums:
         are rejected, the cell looks like a trap, and would hold all of the law that the kernel keeps. A kernel that
         stays in more than such a sliver is left as it is.
         """
-        _, label = connected_components(self.matrix, directed=True, connection="strong")
-        rows, columns = self.matrix.nonzero()
-        leaves = np.bincount(label[rows], label[rows] != label[columns], minlength=label.max() + 1) > 0
-        few = np.bincount(label, self.starts) < _FEW
-        kept = sp.csr_matrix(sp.diags((leaves | ~few)[label].astype(float)) @ self.matrix)
-        return kept if kept.sum() > (1 - _LOST) * self.matrix.sum() else self.matrix
+        matrix, rows, columns = self.matrix, *self.matrix.nonzero()
+        while True:
+            # What leads to cells in which no point starts leads nowhere.
+            alive = np.asarray(matrix.sum(1)).ravel() > 0
+            inner = alive[rows] & alive[columns]
+            edges = (np.ones(inner.sum(), bool), (rows[inner], columns[inner]))
+            _, label = connected_components(sp.csr_matrix(edges, shape=matrix.shape), connection="strong")
+            left = label[rows[inner]][label[rows[inner]] != label[columns[inner]]]
+            leaves = np.bincount(left, minlength=label.max() + 1) > 0
+            trap = alive & (~leaves & (np.bincount(label, self.starts) < _FEW))[label]
+            if not trap.any():
+                return matrix if matrix.sum() > (1 - _LOST) * self.matrix.sum() else self.matrix
+            matrix = sp.csr_matrix(sp.diags((~trap).astype(float)) @ matrix)
 
 
 def measure(
