@@ -71,17 +71,17 @@ CLAMPED = ("with", "without", "without, p = 4")
 LINE = mcmc1d.Multiplexed(GaussianMixture([0.1, 0.45, 0.9], [0.08, 0.06, 0.12], [0.5, 0.2, 0.3]), Uniform())
 
 
-def _witnesses(config: Config) -> dict[str, Move]:
+def moves_on_the_line(sigma: float) -> dict[str, Move]:
     """Moves on the line for `verify`: the first and the last two right, the others wrong."""
-    step = TruncatedStep(config.sigma)
+    step = TruncatedStep(sigma)
     odd = SYMMETRIC["exp(cos 7(x-y) + xy)"]
     return {
         "right": MultipleTry(step, 4, odd, Stratified(), ratio="R_g"),
         "no normaliser": WrongDeterminant(step, jnp.zeros_like),
         "lambda not symmetric": Unchecked(MultipleTry(step, 4, evenly, ratio="R_g")),
-        "other strata": MultipleTry(SmallStep(config.sigma / 2), 2, by_target, OtherStrata()),
-        "fresh competitors": MultipleTry(SmallStep(config.sigma / 2), 2, by_target, FreshCompetitors()),
-        "rotated": MultipleTry(SmallStep(config.sigma / 2), 2, by_target, Rotated()),
+        "other strata": MultipleTry(SmallStep(sigma / 2), 2, by_target, OtherStrata()),
+        "fresh competitors": MultipleTry(SmallStep(sigma / 2), 2, by_target, FreshCompetitors()),
+        "rotated": MultipleTry(SmallStep(sigma / 2), 2, by_target, Rotated()),
         "even weights": MultipleTry(step, 4, evenly),
     }
 
@@ -109,9 +109,9 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         "refused": refused,
     }
     verdicts = {}
-    for k, (name, move) in enumerate(_witnesses(config).items()):
+    for k, (name, move) in enumerate(moves_on_the_line(config.sigma).items()):
         verdicts[name] = verify(move, LINE, seed=seed, replicas=config.replicas, level=config.level, name=name)
-        progress("witnesses", k + 1, len(_witnesses(config)))
+        progress("witnesses", k + 1, len(moves_on_the_line(config.sigma)))
     data["passed"] = ("witness", [report.passed for report in verdicts.values()])
     data["first_p"] = ("witness", [report.p_value for report in verdicts.values()])
     return xr.Dataset(

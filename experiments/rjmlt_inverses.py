@@ -66,8 +66,9 @@ FAILS = {"there": ReversibleJump(), "there and back": Returning(ReversibleJump()
 """Where an inversion that fails is noticed."""
 
 
-def _chain(config: Config, jump: Move) -> Moves:
-    return Moves({"small": (0.5, SmallStep(config.sigma)), "jump": (0.5, jump)})
+def chain(sigma: float, jump: Move) -> Moves:
+    """Small steps and jumps, as often."""
+    return Moves({"small": (0.5, SmallStep(sigma)), "jump": (0.5, jump)})
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
@@ -83,11 +84,11 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     formulas = _formulas(config, jump, nested, seed)
     targets = {name: (Multiplexed(F, (Tent(0.4), technique)), ReversibleJump()) for name, technique in LOBES.items()}
     todo = {**targets, **{name: (BRITTLE, move) for name, move in FAILS.items()}}
-    laws, reports = {}, {"nested": verify(_chain(config, jump), nested, seed=seed, replicas=config.replicas)}
+    laws, reports = {}, {"nested": verify(chain(config.sigma, jump), nested, seed=seed, replicas=config.replicas)}
     for k, (name, (target, move)) in enumerate(todo.items()):
-        chain = _chain(config, move)
-        laws[name] = transition_operator(chain, target, points=config.points, x_cells=1).law_of(edges)
-        reports[name] = verify(chain, target, seed=seed, replicas=config.replicas, name=name)
+        mixed = chain(config.sigma, move)
+        laws[name] = transition_operator(mixed, target, points=config.points, x_cells=1).law_of(edges)
+        reports[name] = verify(mixed, target, seed=seed, replicas=config.replicas, name=name)
         progress("laws", k + 1, len(todo))
     exact = F.bin_masses(edges)
     return xr.Dataset(
