@@ -13,6 +13,7 @@ from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, Li
 from mcmc1d.flatland.integrators.instant import InstantRadiosity
 from mcmc1d.flatland.integrators.photons import PhotonDensity
 from mcmc1d.flatland.integrators.redistribution import EnergyRedistribution
+from mcmc1d.flatland.integrators.staged import StagedMLT
 from mcmc1d.flatland.integrators.veach import MLT
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import require
@@ -41,6 +42,9 @@ FURTHER: dict[str, Integrator] = {
     "cmlt": CoherentMLT(),
     "cmlt_published": CoherentMLT(deposit="published"),
     "erpt": EnergyRedistribution(),
+    "two_stage": StagedMLT("two_stage"),
+    "multi_stage": StagedMLT("multi_stage"),
+    "noise_aware": StagedMLT("noise_aware"),
 }
 """Others, by name: of the papers under test, and those whose light is biased, or without a bound."""
 
@@ -107,6 +111,7 @@ __all__ = [
     "PathTracing",
     "PhotonDensity",
     "Stacked",
+    "StagedMLT",
     "Sums",
     "integrate",
 ]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.flatland.bidirectional import Bidirectional
-from mcmc1d.flatland.integrators.image import Layer, Sums
+from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Pinhole, Scene, distance
 from mcmc1d.numerics import cast, jit_with
@@ -39,7 +39,7 @@ class Integrator(eqx.Module):
         """What is sampled: paths of one length, seen through techniques."""
 
     @abc.abstractmethod
-    def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
+    def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer | Stacked:
         """The light of `edges` edges by about so many samples: paths, or mutations of chains."""
 
 
