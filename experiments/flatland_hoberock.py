@@ -33,7 +33,7 @@ class Config:
 
     scenes: str = "box door"
     pixels: int = 32
-    runs: int = 64
+    runs: int = 16
     samples: int = 2**13
     """Paths and mutations of each run: rays, divided by the edges of a path."""
     chains: int = 8
