@@ -139,8 +139,9 @@ class Contest:
         np.add.at(film, (np.arange(self.runs)[:, None], pixel), weight)
         return film
 
-    def _shadow(self, key: Key, move: Move, start: State, tries: int) -> np.ndarray:
+    def _shadow(self, key: Key, move: Move, start: State | None, tries: int) -> np.ndarray:
         """Of `tries` proposals from each of exact starts, (runs chains): the share of blocked shadow rays, by run."""
+        assert start is not None  # b is known, and there is light
         target = self.of.target(self.paths)
         state = State(jnp.asarray(start.index), jnp.asarray(start.u).T)
         cast_, blocked = (

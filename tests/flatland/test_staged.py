@@ -87,6 +87,12 @@ def test_the_importance_is_the_light_times_its_factors():
     np.testing.assert_allclose(np.exp(ratio[lit]), (values[pixel] * np.where(on, 3, 1))[lit], rtol=1e-5)
 
 
+def test_a_length_without_light_is_dark():
+    made = StagedMLT("noise_aware", **{**SETTINGS, "chains": 8}).render(jax.random.key(0), BOX, 1, 2**10)
+    assert not made.value.any()
+    assert made.rays > 0
+
+
 def test_plans():
     stages = StagedMLT("multi_stage").stages(32, 10**5)
     assert all(kept for _, kept in stages)

@@ -93,6 +93,11 @@ def expose(
     return Exposed(dealt, np.reshape(accepted, (len(values), -1)) / steps)
 
 
+def unexposed(replicas: int, chains: int, pixels: int) -> Exposed:
+    """The films of chains that were not run."""
+    return Exposed(np.zeros((replicas, chains, len(ROWS), pixels)), np.zeros((replicas, chains)))
+
+
 @jit_with(xla_cpu_prefer_vector_width=512)
 def _exposed(
     key: Key,
@@ -155,8 +160,7 @@ def exact_starts(key: Key, target: Multiplexed, values: Float[np.ndarray, "r n"]
         np.maximum.at(most, owner, density)
         for r in np.flatnonzero(most > bound):
             bound[r], kept[r], found[r] = 1.25 * most[r], [], 0
-            owner_lost = owner == r
-            density = np.where(owner_lost, 0, density)
+            density = np.where(owner == r, 0, density)
         chosen = np.flatnonzero((uniform * bound[owner] < density) & (found[owner] < chains))
         for k in chosen:
             kept[owner[k]].append((np.asarray(state.index)[k], state.u[:, k]))
@@ -190,4 +194,4 @@ def _drawn(
 
 EXAMPLES = {"moments": Moments(LIT["light"].paths, 64)}
 
-__all__ = ["EXAMPLES", "ROWS", "Exposed", "Moments", "exact_starts", "expose"]
+__all__ = ["EXAMPLES", "ROWS", "Exposed", "Moments", "exact_starts", "expose", "unexposed"]

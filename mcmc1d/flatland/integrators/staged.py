@@ -9,7 +9,7 @@ import numpy as np
 
 from mcmc1d.flatland.importance import OverPixels, Shader
 from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest
-from mcmc1d.flatland.integrators.exposure import exact_starts, expose
+from mcmc1d.flatland.integrators.exposure import exact_starts, expose, unexposed
 from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
 from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, PathTracing
 from mcmc1d.flatland.paths import Light, Paths
@@ -39,8 +39,8 @@ class Staged(NamedTuple):
     """Its integral, exact or estimated: (replicas,)."""
     normaliser: Sums | None
     """What b was estimated from; None where it is known."""
-    start: State
-    """The exact starts of the chains, (replicas chains)."""
+    start: State | None
+    """The exact starts of the chains, (replicas chains); None where no light was found, and none were run."""
     deposits: np.ndarray
     """What each chain put into each pixel per step, 1 / I in units of f left out: (replicas, chains, pixels)."""
     acceptance: np.ndarray
@@ -141,7 +141,7 @@ class StagedMLT(Integrator):
         """The stages of independent images, one a replica, each adapted to itself by `chains` chains.
 
         `samples`: of each replica; `exact`: the exact image, (pixels,), by which every b is known. Without it b is
-        estimated, for one replica. Nothing comes of a length without light.
+        estimated, for one replica.
         """
         require(exact is None or self.shader is None, "StagedMLT: the exact image tells b of no shader")
         require(exact is not None or replicas == 1, "StagedMLT: b is estimated for one replica; give the exact image")
@@ -157,11 +157,12 @@ class StagedMLT(Integrator):
             if exact is None:
                 normaliser = bootstrap(b_key, own, int(self.spent_on_b * stage.samples), most * float(values.max()))
             b = (values * exact).mean(1) if normaliser is None else normaliser.mean
-            if not b.all():
-                return
-            start = exact_starts(start_key, target, values, self.chains)
-            steps = max(1, round(stage.samples / self.chains))
-            found = expose(step_key, self.kernel(), target, values, start, steps)
+            steps, start = max(1, round(stage.samples / self.chains)), None
+            if b.all():
+                start = exact_starts(start_key, target, values, self.chains)
+                found = expose(step_key, self.kernel(), target, values, start, steps)
+            else:  # where no sample for b brought light, its product with what chains would deposit is zero
+                found = unexposed(replicas, self.chains, pixels)
             new = self._film(found.rows.sum(1), values, b, steps * self.chains, target.n_techniques)
             film = new if film is None else film.plus(new)
             deposits, rate = found.rows[:, :, 1] / steps, found.acceptance.mean(1)
@@ -178,7 +179,7 @@ class StagedMLT(Integrator):
         kept = 0
         for stage in self.staged(key, scene, edges, samples):
             assert stage.normaliser is not None
-            rays += float(edges) * (stage.samples + stage.normaliser.size)
+            rays += float(edges) * (stage.normaliser.size + (0 if stage.start is None else stage.samples))
             if not stage.kept:
                 continue
             each = stage.deposits[0]
