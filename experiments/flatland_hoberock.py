@@ -22,6 +22,7 @@ from experiments.support.sweep import Sweep
 from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
+from mcmc1d.numerics import require
 from mcmc1d.perception import density_statistics, efficiency, error, visual_error
 
 SOURCE = "Hoberock and Hart 2010"
@@ -33,7 +34,9 @@ class Config:
 
     scenes: str = "box door"
     pixels: int = 32
-    runs: int = 16
+    runs: int = 64
+    at_once: int = 16
+    """Runs that one program does side by side."""
     samples: int = 2**13
     """Paths and mutations of each run: rays, divided by the edges of a path."""
     chains: int = 8
@@ -62,6 +65,7 @@ SCENES = {
 """The edges of the paths, and what makes them: path tracing, but where the camera is far from the light, as there."""
 BRIGHT = 50.0
 """The mean of the image in cd/m^2, as a display shows it."""
+PARTS = ("image", "density", "acceptance", "shadow")
 COLUMNS = ("shadow", "acceptance", "variance", "skew", "kurtosis", "error", "visual")
 
 
@@ -109,15 +113,17 @@ def measure(name: str, method: str, fields: dict[str, Any], seed: int, exact: li
     """All runs of one algorithm on one scene: what JSON can hold of them."""
     c, (edges, of) = Config(**fields), SCENES[name]
     shown = scene(name).with_pixels(c.pixels)
-    common = np.array(exact), c.runs, c.samples, c.chains, c.sigma, c.large, c.length, c.shadows
+    common = np.array(exact), c.at_once, c.samples, c.chains, c.sigma, c.large, c.length, c.shadows
     contest = Contest(shown, edges, of, *common)
     key = jax.random.fold_in(jax.random.key(seed), METHODS.index(method) + 100 * sum(name.encode()))
     made: Callable[..., Images] = {"path": contest.path, "ERPT": contest.redistribution}.get(
         method, lambda key: contest.staged(key, method)
     )
-    found = made(key)._asdict()
-    rays = edges * found.pop("samples")
-    return {"rays": float(rays), **{part: np.asarray(value).tolist() for part, value in found.items()}}
+    require(c.runs % c.at_once == 0, f"runs, {c.runs}, must be a multiple of at_once, {c.at_once}")
+    found = [made(jax.random.fold_in(key, k)) for k in range(c.runs // c.at_once)]
+    rays = edges * np.mean([one.samples for one in found])
+    parts = {part: np.concatenate([getattr(one, part) for one in found]).tolist() for part in PARTS}
+    return {"rays": float(rays), **parts}
 
 
 def draw(data: xr.Dataset) -> Figure:
@@ -155,11 +161,17 @@ def draw(data: xr.Dataset) -> Figure:
             row[3].errorbar(middle, place + 0.24 * shift - 0.12, xerr=spread, fmt="os"[shift], color=color,
                             markersize=3, capsize=1.5, linewidth=0.9, label=label)  # fmt: skip
         row[3].axvline(1, color="0.6", linewidth=0.5)
-        row[3].set(xscale="log", ylim=(len(METHODS) - 0.5, -0.5), yticks=place, yticklabels=[])
+        row[3].set(xscale="log", ylim=(len(METHODS) - 0.5, -0.5))
+        row[3].set_yticks(place, list(METHODS))
+        strip = row[1].inset_axes((0, 1.03, 1, 0.12))
+        strip.imshow(np.log10(truth)[None], cmap="gray", aspect="auto")
+        strip.set_yticks([0], ["exact"])
+        strip.set(xticks=[])
+        strip.tick_params(length=0)
         ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if _inside(t, row[3].get_xlim())]
         row[3].set_xticks(ticks, [f"{t:g}" for t in ticks])
         row[3].minorticks_off()
-    axes[0, 1].set_title("one run over the exact image")
+    axes[0, 1].set_title("one run over the exact image", pad=18)
     axes[0, 2].set_title("its samples over their mean")
     axes[0, 3].set_title("error over that of MLT")
     axes[-1, 3].set_xlabel(f"{data.sizes['run']} runs, 95 % intervals")
@@ -196,7 +208,7 @@ def cells(data: xr.Dataset) -> list[list[str]]:
                 [
                     str(name),
                     method,
-                    f"{rays:.3g}",
+                    f"{rays / 1000:.1f}k",
                     f"{mean['shadow']:.1%}",
                     "N/A" if method == "path" else f"{mean['acceptance']:.1%}",
                     *(f"{mean[column]:.3f}" for column in ("variance", "skew", "kurtosis")),
@@ -210,7 +222,7 @@ def cells(data: xr.Dataset) -> list[list[str]]:
 
 
 def _draw_table(axes: Any, data: xr.Dataset) -> None:
-    places = np.array([0, 7.5, 13.5, 23, 30, 38, 46, 54, 67.5, 77, 89.5, 100]) / 100
+    places = np.array([0, 7.5, 20, 27, 33.5, 40.5, 47.5, 54.5, 67.5, 77, 89.5, 100]) / 100
     rows = cells(data)
     axes.set(xlim=(0, 1), ylim=(len(rows) + 0.4, -1.1))
     axes.axis("off")

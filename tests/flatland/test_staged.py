@@ -12,7 +12,7 @@ from mcmc1d.flatland import Light, Paths
 from mcmc1d.flatland.importance import OverPixels, Shader, Touches
 from mcmc1d.flatland.integrators import Image, Stacked, StagedMLT
 from mcmc1d.flatland.integrators.compare import compare
-from mcmc1d.flatland.integrators.exposure import exact_starts
+from mcmc1d.flatland.integrators.exposure import exact_starts, highest_seen
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
 
@@ -58,9 +58,9 @@ def test_a_shader_is_divided_out(exact):
 def test_starts_have_the_law_of_each_row(exact):
     """In each pixel 6 standard errors of its share, 1e-8 by the normal law, detects 0.03. Twin: the other row's law."""
     values = np.array([[1.0, 1, 1, 1], [8, 1, 0.5, 3]])
-    start = exact_starts(jax.random.key(6), StagedMLT().target(Paths(BOX, 2)), values, 2**13)
     paths = Paths(BOX, 2)
     target = StagedMLT().target(paths)
+    start = exact_starts(jax.random.key(6), target, values, 2**13, highest_seen(jax.random.key(7), target))
     x = jax.jit(jax.vmap(lambda i, u: target.forward(i, u)[0]))(start.index, start.u)
     pixel = np.asarray(jax.jit(jax.vmap(paths.pixel))(x)).reshape(2, -1)
     found = np.stack([np.bincount(row, minlength=4) for row in pixel]) / pixel.shape[1]

@@ -22,7 +22,9 @@ from mcmc1d.types import Array, Float, Int, Key
 ROWS = ("density", "value", "squares", "area")
 _STEPS = 2**9
 """Between drains of the sums into float64."""
-_CANDIDATES = 2**16
+_CANDIDATES = 2**13
+"""For exact starts, at once."""
+_PROBES = 2**16
 _PATIENCE = 10_000
 
 
@@ -79,8 +81,7 @@ def expose(
     key: Key, kernel: Kernel, target: Multiplexed, values: Float[np.ndarray, "r n"], start: State, steps: int
 ) -> Exposed:
     """Step chains, of which each replica has as many, with its row of `values` in the target's `OverPixels`."""
-    light = target.target
-    assert isinstance(light, OverPixels)
+    light = _light(target)
     lanes = np.shape(start.index)[0]
     each = jnp.asarray(np.repeat(values, lanes // len(values), 0).T)
     film = Moments(light.light.paths, lanes, light.shader)
@@ -130,18 +131,24 @@ def _exposed(
     return State(last.index, last.u), sums, accepted
 
 
-def exact_starts(key: Key, target: Multiplexed, values: Float[np.ndarray, "r n"], chains: int) -> State:
+def highest_seen(key: Key, target: Multiplexed) -> Float[np.ndarray, " n"]:
+    """The largest density of f, times a shader, among independent probes, in each pixel."""
+    found = np.zeros(_light(target).light.paths.sensor.pixels)
+    for k in range(_PROBES // _CANDIDATES):
+        _, density, pixel, _ = _candidates(key, target, k)
+        np.maximum.at(found, pixel, density)
+    return found
+
+
+def exact_starts(
+    key: Key, target: Multiplexed, values: Float[np.ndarray, "r n"], chains: int, highest: Float[np.ndarray, " n"]
+) -> State:
     """`chains` exact states for each row of `values`, (rows chains): by rejection, as `chain.exact_start`.
 
-    Each row has candidates of its own, so that replicas stay independent. `ValueError` where rejection is hopeless.
+    Under 1.25 times what `highest` of `highest_seen` allows; a candidate over it raises the bound of its row, whose
+    starts are then drawn again. Each row has candidates of its own, so that replicas stay independent. `ValueError`
+    where rejection is hopeless.
     """
-    light = target.target
-    assert isinstance(light, OverPixels)
-    probe_key, key = jax.random.split(key)
-    plain = eqx.tree_at(lambda t: t.target.values, target, np.ones(values.shape[1]))
-    _, density, pixel, _ = _candidates(probe_key, plain, jnp.asarray(0))
-    highest = np.zeros(values.shape[1])
-    np.maximum.at(highest, pixel, density)
     bound = 1.25 * (values * highest).max(1)
     rows = len(values)
     owner = np.arange(_CANDIDATES) % rows
@@ -153,7 +160,7 @@ def exact_starts(key: Key, target: Multiplexed, values: Float[np.ndarray, "r n"]
             f"StagedMLT: {found.min()} of {chains} starts after {attempt} batches of candidates: the density has a "
             "narrow peak, or there is no light; give techniques that follow it",
         )
-        state, density, pixel, uniform = _candidates(key, plain, jnp.asarray(attempt))
+        state, density, pixel, uniform = _candidates(key, target, attempt)
         attempt += 1
         density = density * values[owner, pixel]
         most = np.zeros(rows)
@@ -169,8 +176,16 @@ def exact_starts(key: Key, target: Multiplexed, values: Float[np.ndarray, "r n"]
     return State(jnp.asarray(index), jnp.asarray(np.stack([one[1] for row in kept for one in row[:chains]])))
 
 
-def _candidates(key: Key, target: Multiplexed, attempt: Array) -> tuple[State, np.ndarray, np.ndarray, np.ndarray]:
-    state, density, pixel, uniform = jax.tree.map(np.asarray, _drawn(key, target, attempt))
+def _light(target: Multiplexed) -> OverPixels:
+    light = target.target
+    assert isinstance(light, OverPixels)
+    return light
+
+
+def _candidates(key: Key, target: Multiplexed, attempt: int) -> tuple[State, np.ndarray, np.ndarray, np.ndarray]:
+    """Of f, times a shader; see `_drawn`."""
+    plain = eqx.tree_at(lambda t: t.target.values, target, np.ones_like(_light(target).values))
+    state, density, pixel, uniform = jax.tree.map(np.asarray, _drawn(key, plain, jnp.asarray(attempt)))
     if not np.isfinite(density).all():
         raise ValueError("the light of a path is NaN or infinite; look at the scene for a lamp of infinite emission")
     return state, density.astype(np.float64), pixel, uniform
@@ -186,12 +201,10 @@ def _drawn(
     numbers = uniforms(key, attempt, (target.dim_u + 2, _CANDIDATES), dtype)
     index = jnp.minimum((numbers[0] * target.n_techniques).astype(jnp.int32), target.n_techniques - 1)
     seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[2:])).seen
-    light = target.target
-    assert isinstance(light, OverPixels)
-    pixel = jax.vmap(light.light.paths.pixel, in_axes=-1)(seen.x)
+    pixel = jax.vmap(_light(target).light.paths.pixel, in_axes=-1)(seen.x)
     return State(index, numbers[2:]), jnp.exp(seen.log_c), pixel, numbers[1]
 
 
 EXAMPLES = {"moments": Moments(LIT["light"].paths, 64)}
 
-__all__ = ["EXAMPLES", "ROWS", "Exposed", "Moments", "exact_starts", "expose", "unexposed"]
+__all__ = ["EXAMPLES", "ROWS", "Exposed", "Moments", "exact_starts", "expose", "highest_seen", "unexposed"]

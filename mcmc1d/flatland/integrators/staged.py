@@ -9,7 +9,7 @@ import numpy as np
 
 from mcmc1d.flatland.importance import OverPixels, Shader
 from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest
-from mcmc1d.flatland.integrators.exposure import exact_starts, expose, unexposed
+from mcmc1d.flatland.integrators.exposure import exact_starts, expose, highest_seen, unexposed
 from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
 from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, PathTracing
 from mcmc1d.flatland.paths import Light, Paths
@@ -149,6 +149,8 @@ class StagedMLT(Integrator):
         target, pixels = self.target(paths), scene.sensor.pixels
         most = target.n_techniques * brightest(scene, edges)
         most *= 1.0 if self.shader is None else max(1.0, float(self.shader.factor))
+        first_key, key = jax.random.split(key)
+        highest = highest_seen(first_key, target)
         for s, (stage, kept) in enumerate(self.stages(pixels, samples)):
             b_key, start_key, step_key = jax.random.split(jax.random.fold_in(key, s), 3)
             values = np.broadcast_to(self.values(film, stage, pixels), (replicas, pixels))
@@ -159,9 +161,9 @@ class StagedMLT(Integrator):
             b = (values * exact).mean(1) if normaliser is None else normaliser.mean
             steps, start = max(1, round(stage.samples / self.chains)), None
             if b.all():
-                start = exact_starts(start_key, target, values, self.chains)
+                start = exact_starts(start_key, target, values, self.chains, highest)
                 found = expose(step_key, self.kernel(), target, values, start, steps)
-            else:  # where no sample for b brought light, its product with what chains would deposit is zero
+            else:  # no sample for b brought light: its product with what chains would deposit is zero
                 found = unexposed(replicas, self.chains, pixels)
             new = self._film(found.rows.sum(1), values, b, steps * self.chains, target.n_techniques)
             film = new if film is None else film.plus(new)
