@@ -34,7 +34,7 @@ class Config:
 
     scenes: str = "box door"
     pixels: int = 32
-    runs: int = 64
+    runs: int = 16
     at_once: int = 16
     """Runs that one program does side by side."""
     samples: int = 2**13
