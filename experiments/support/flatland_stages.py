@@ -144,14 +144,8 @@ class Contest:
         assert start is not None  # b is known, and there is light
         target = self.of.target(self.paths)
         state = State(jnp.asarray(start.index), jnp.asarray(start.u).T)
-        cast_, blocked = (
-            np.sum(
-                [np.asarray(one[part]) for one in (_proposed(key, move, target, self.paths, state, k) for k in keys)],
-                axis=0,
-            )
-            for keys in [[jnp.asarray(k) for k in range(tries)]]
-            for part in (0, 1)
-        )
+        looks = [_proposed(key, move, target, self.paths, state, jnp.asarray(k)) for k in range(tries)]
+        cast_, blocked = np.sum([np.asarray(look) for look in looks], axis=0)  # (2, runs chains)
         return blocked.reshape(self.runs, -1).sum(1) / cast_.reshape(self.runs, -1).sum(1)
 
 
