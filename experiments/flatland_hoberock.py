@@ -175,7 +175,7 @@ def draw(data: xr.Dataset) -> Figure:
     axes[0, 2].set_title("its samples over their mean")
     axes[0, 3].set_title("error over that of MLT")
     axes[-1, 3].set_xlabel(f"{data.sizes['run']} runs, 95 % intervals")
-    axes[0, 3].legend(loc="best")
+    axes[-1, 3].legend(loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=2)
     for kind, ticks in ((0, (0.5, 1, 2)), (1, (0.1, 1, 10))):
         bar = parts[0].colorbar(shown[kind], ax=axes[:, 1 + kind], location="bottom", aspect=30, pad=0.02)
         bar.set_ticks(ticks, labels=[f"{t:g}" for t in ticks])
