@@ -18,7 +18,7 @@ from mcmc1d.moves import Move
 from mcmc1d.numerics import below_one, cast
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Bool, Float, Int, Key
+from mcmc1d.types import Array, Bool, Float, Index, Int, Key
 
 STAGED = {"MLT": "one_stage", "2MLT": "two_stage", "MMLT": "multi_stage", "NAMLT": "noise_aware"}
 METHODS = ("path", "MLT", "ERPT", "2MLT", "MMLT", "NAMLT")
@@ -107,7 +107,7 @@ class Contest:
         plain = np.ones((self.runs, len(self.exact)))  # of the same shape as the stages': one program
         for first in range(0, len(run), lanes):
             own = np.arange(first, first + lanes) % len(run)  # what fills the last batch up is thrown away
-            start = State(jnp.asarray(drawn.index[run[own], path[own]]), jnp.asarray(drawn.u[run[own], path[own]]))
+            start = State(jnp.asarray(drawn.technique[run[own], path[own]]), jnp.asarray(drawn.u[run[own], path[own]]))
             found = expose(jax.random.fold_in(walk_key, first), kernel, target, plain, start, self.length)
             rows.append(found.rows.reshape(lanes, *found.rows.shape[2:])[:, 0])
             accepted.append(found.acceptance.ravel())
@@ -159,7 +159,7 @@ _BATCH = 2**8
 class Draws(NamedTuple):
     """Independent samples of every run: (runs, samples), u (runs, samples, m)."""
 
-    index: np.ndarray
+    technique: np.ndarray
     u: np.ndarray
     energy: np.ndarray
     """n w_i f / p_i."""
@@ -203,7 +203,7 @@ def _proposed(
 
 
 def shadow_ray(
-    target: Multiplexed, paths: Paths, index: Array, x: Float[Array, " d"]
+    target: Multiplexed, paths: Paths, index: Index, x: Float[Array, " d"]
 ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
     """Whether the two walks of a path are joined by a ray, and whether something stands in its way.
 

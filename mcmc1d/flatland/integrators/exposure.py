@@ -82,7 +82,7 @@ def expose(
 ) -> Exposed:
     """Step chains, of which each replica has as many, with its row of `values` in the target's `OverPixels`."""
     light = _light(target)
-    lanes = np.shape(start.index)[0]
+    lanes = start.u.shape[0]
     each = jnp.asarray(np.repeat(values, lanes // len(values), 0).T)
     film = Moments(light.light.paths, lanes, light.shader)
     state, rows, accepted = State(start.index, jnp.asarray(start.u).T), 0.0, 0.0

@@ -15,7 +15,7 @@ from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, Pa
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.image import Film
-from mcmc1d.metropolis import Kernel, Metropolis
+from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange
 from mcmc1d.numerics import require
 from mcmc1d.pixels import Pixels, resample
@@ -102,7 +102,7 @@ class StagedMLT(Integrator):
         importance = OverPixels(Light(paths), np.ones(paths.sensor.pixels), self.shader)
         return Multiplexed(importance, plain.family, plain.weights, probes=0)
 
-    def kernel(self) -> Kernel:
+    def kernel(self) -> Metropolis:
         """What steps the chains, in every stage."""
         steps = {"large": (self.large, StepAndChange(LargeStep())), "small": (1 - self.large, SmallStep(self.sigma))}
         return Metropolis(Mixture(steps))

@@ -121,6 +121,7 @@ class Rescaled(Integrator):
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
         layer = self.right.render(key, scene, edges, samples)
+        assert isinstance(layer, Layer)
         return layer._replace(scale=layer.scale * self.factor(self.right, scene, layer))
 
 
