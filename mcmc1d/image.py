@@ -88,6 +88,12 @@ class Film(eqx.Module):
         """Both together; a longer run weighs more."""
         return jax.tree.map(lambda a, b: a + b, self, other)
 
+    def scaled(self, factor: ArrayLike) -> "Film":
+        """The film of f times a factor: one, or one for each image."""
+        scale = np.asarray(factor, np.float64)[..., None]
+        moved = scale * self.value, scale**2 * self.integral, self.area, scale**2 * self.contribution
+        return Film(self.samples, self.density, *moved)
+
     def image(self) -> np.ndarray:
         """The mean of f in each pixel, estimated."""
         return self.value * self.value.shape[-1] / self.samples

@@ -93,6 +93,10 @@ class Paths(eqx.Module):
         points = self._points(x)[0]
         return jnp.stack([points.x, points.y], axis=-1)
 
+    def segments(self, x: Float[Array, " d"]) -> Int[Array, " vertices"]:
+        """The segment that each vertex is on; -1 at a pinhole."""
+        return self._points(x)[1]
+
     def geometry(self, x: Float[Array, " d"]) -> Geometry:
         """Everything that densities and light depend on; finite for any x in the box, whether it is a path or not."""
         walls, k = self.walls, self.edges

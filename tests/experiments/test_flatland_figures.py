@@ -1,5 +1,7 @@
 """What the figures of flatland compute apart from chains: proposals of techniques, and errors at equal rays."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
@@ -7,6 +9,11 @@ import xarray as xr
 from experiments.flatland_mmlt import INTEGRATORS, at_equal_rays
 from experiments.flatland_rjmlt import MOVES
 from experiments.support.flatland_chains import close, mixes, others
+from experiments.support.flatland_stages import shadow_ray
+from mcmc1d.flatland import Paths
+from mcmc1d.flatland.integrators import BidirectionalPathTracing
+from mcmc1d.flatland.scenes import scene
+from mcmc1d.state import State
 
 
 @pytest.mark.parametrize(("n", "sigma"), [(2, 0.05), (5, 0.05), (12, 0.05), (4, 0.7)])
@@ -67,3 +74,21 @@ def test_errors_are_compared_at_equal_rays():
     _, error, _ = at_equal_rays(data)
     assert error["PT"] == pytest.approx(1 / 16)
     assert error["MMLT"] == pytest.approx(np.sqrt(1 / 0.8 + 7 * 3 / 0.2) / 16)
+
+
+def test_a_joined_path_of_lambert_walls_is_dark_where_its_shadow_ray_is_blocked_or_not_cast():
+    """And nowhere else: light is worked out without geometry's look at all edges, which the shadow ray is read from."""
+    paths = Paths(scene("box"), 2)
+    target = BidirectionalPathTracing().target(paths)
+    u = jnp.asarray(np.random.default_rng(0).random((2000, target.dim_u)))
+    index = jnp.arange(2000, dtype=jnp.int32) % target.n_techniques
+
+    def look(index, u):
+        seen = target.evaluate(State(index, u)).seen
+        return seen.log_f > -jnp.inf, *shadow_ray(target, paths, index, seen.x)
+
+    lit, cast, blocked = (np.asarray(a) for a in jax.jit(jax.vmap(look))(index, u))
+    joined = np.asarray(target.family.lengths)[np.asarray(index)] <= 2
+    assert np.array_equal(lit[joined], (cast & ~blocked)[joined])
+    assert not cast[~joined].any()
+    assert min(blocked.mean(), (joined & ~cast).mean()) > 0.005

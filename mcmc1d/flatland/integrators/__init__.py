@@ -14,6 +14,7 @@ from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, Li
 from mcmc1d.flatland.integrators.instant import InstantRadiosity
 from mcmc1d.flatland.integrators.photons import PhotonDensity
 from mcmc1d.flatland.integrators.redistribution import EnergyRedistribution
+from mcmc1d.flatland.integrators.staged import StagedMLT
 from mcmc1d.flatland.integrators.veach import MLT
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import require
@@ -43,6 +44,9 @@ FURTHER: dict[str, Integrator] = {
     "cmlt_published": CoherentMLT(deposit="published"),
     "erpt": EnergyRedistribution(),
     "rex": ReplicaExchange(),
+    "two_stage": StagedMLT("two_stage"),
+    "multi_stage": StagedMLT("multi_stage"),
+    "noise_aware": StagedMLT("noise_aware"),
 }
 """Others, by name: of the papers under test, and those whose light is biased, or without a bound."""
 
@@ -110,6 +114,7 @@ __all__ = [
     "PhotonDensity",
     "ReplicaExchange",
     "Stacked",
+    "StagedMLT",
     "Sums",
     "integrate",
 ]

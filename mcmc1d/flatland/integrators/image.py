@@ -35,7 +35,8 @@ class Layer(NamedTuple):
     """The light of paths of one length: scale times the mean deposit times the mean of what normalises it."""
 
     edges: int
-    scale: float
+    scale: float | np.ndarray
+    """One, or one for each pixel."""
     deposits: Sums
     """Of each pixel, (pixels,)."""
     normaliser: Sums | None
