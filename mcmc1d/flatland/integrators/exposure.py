@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland.importance import OverPixels, Shader
 from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Step
-from mcmc1d.numerics import cast, jit_with, require
+from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
@@ -99,7 +100,7 @@ def unexposed(replicas: int, chains: int, pixels: int) -> Exposed:
     return Exposed(np.zeros((replicas, chains, len(ROWS), pixels)), np.zeros((replicas, chains)))
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _exposed(
     key: Key,
     kernel: Kernel,
@@ -191,7 +192,7 @@ def _candidates(key: Key, target: Multiplexed, attempt: int) -> tuple[State, np.
     return state, density.astype(np.float64), pixel, uniform
 
 
-@jit_with(xla_cpu_prefer_vector_width=512)
+@wide_jit
 def _drawn(
     key: Key, target: Multiplexed, attempt: Int[Array, ""]
 ) -> tuple[State, Float[Array, " m"], Int[Array, " m"], Float[Array, " m"]]:
