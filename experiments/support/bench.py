@@ -11,8 +11,9 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import LogLocator, NullLocator
 from rich.box import SIMPLE
 from rich.table import Table
 
@@ -153,6 +154,8 @@ def draw(data: xr.Dataset) -> Figure:
         axis.plot(rates, np.repeat(y[:, None], rates.shape[1], 1), ".", color="black", markersize=2)
         axis.set_yticks(y, [str(name) for name in data[dim].to_numpy()], fontsize=5)
         axis.set(xscale="log", xlabel=f"10⁶ steps/s, {'multiplexed step' if dim == 'step' else 'random walk'}")
+        axis.set_xlim(0.5 * rates.min(), 1.3 * rates.max())
+        _few_ticks(axis.xaxis)
         axis.invert_yaxis()
     quantities = [str(name)[3:] for name in data.data_vars if str(name).startswith("ns_")]
     for axis, quantity in zip(axes.flat[2:], quantities, strict=False):
@@ -161,11 +164,17 @@ def draw(data: xr.Dataset) -> Figure:
         axis.set(xscale="log", yscale="log", xlabel=quantity, ylabel="ns a step")
         axis.set_xticks(at, [f"{size:g}" for size in at], fontsize=6)
         axis.xaxis.set_minor_locator(NullLocator())
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter("{x:g}")
-        axis.tick_params(axis="y", which="both", labelsize=6)
-        axis.set_ylim(0.8 * float(data[f"ns_{quantity}"].min()), 1.25 * float(data[f"ns_{quantity}"].max()))
+        axis.set_ylim(0.6 * float(data[f"ns_{quantity}"].min()), 1.6 * float(data[f"ns_{quantity}"].max()))
+        _few_ticks(axis.yaxis)
     memory = axes[2, 2]
     memory.plot(data.memory_steps, data.memory_mib, "o-", markersize=3)
     memory.set(xscale="log", xlabel="steps", ylabel="peak memory, MiB", ylim=(0, 1.2 * float(data.memory_mib.max())))
     return figure
+
+
+def _few_ticks(axis: Axis) -> None:
+    """On a logarithmic axis: 1, 2 and 5 of each decade, as numbers."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
+    axis.set_tick_params(labelsize=6)

@@ -91,7 +91,9 @@ class _Contract:
         rounding = 4 * np.finfo(self.dtype).eps
         felt = rounding * np.where(np.isfinite(out.felt), out.felt, 0)
         image = np.abs(np.where(np.isfinite(out.uw), out.uw, 0))
-        bits = rounding * (steepness(out.jacobian, out.slope) * image).sum(1)
+        # Autodiff's own: what is made of 1 - u' has the digits of that, as the derivative s (1 - s) of a sigmoid.
+        near_one = 1 / np.maximum(1 - np.minimum(image, 1), np.finfo(self.dtype).epsneg)
+        bits = rounding * (steepness(out.jacobian, out.slope) * image + near_one).sum(1)
         points = Points(uw, condition, rounding=felt, cap=_LARGEST_TOLERANCE, last_bits=bits)
         inside = ((out.uw >= 0) & (out.uw < 1)).all(1) & (out.index >= 0) & (out.index < n)
         possible = inside & np.isfinite(out.log_det)

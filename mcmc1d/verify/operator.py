@@ -29,6 +29,10 @@ DEFAULT_X = {1: 200, 2: 100, 3: 40}
 """Intervals of a scalar x, which cut the same cells again: a jump keeps x, and must not seem to diffuse in it."""
 
 
+_UNKNOWN = 0.1
+"""Noise from which on a law is none, and mass below zero that extrapolation does not explain."""
+
+
 class Law(NamedTuple):
     """A predicted law on bins, of shape (n_index, bins), and what it may be off by."""
 
@@ -102,6 +106,7 @@ class Operator:
         """The law of (index, x), or of (index, function(x)), that the kernel keeps, on the bins between `edges`.
 
         Extrapolated to cells of no width from these cells and from cells twice as wide, whose flux is the same net's.
+        Raises `ValueError` where the net was too small to find it.
         """
         edges = np.asarray(edges, np.float64)
         inside = self._inside(edges, function)
@@ -121,6 +126,11 @@ class Operator:
         error = each.std(0, ddof=1) / _c4(len(each)) / np.sqrt(len(each))
         # The mean absolute deviation of a normal number of each standard error.
         noise = float(error.sum() * np.sqrt(2 / np.pi) / 2)
+        require(
+            noise < _UNKNOWN and masses.min() > -_UNKNOWN,
+            f"the law was not found: the net's scrambles differ by {noise:.2g} of total variation, the smallest mass is "
+            f"{masses.min():.2g}; raise `points` or take fewer cells",
+        )
         return Law(masses, error, noise, float(np.abs(masses - here).sum() / 2))
 
     def detailed_balance_residual(self) -> Balance:

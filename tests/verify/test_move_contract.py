@@ -8,6 +8,7 @@ import pytest
 from mcmc1d import Multiplexed, State
 from mcmc1d.moves import AimedJump, LargeStep, Move, Proposal, SmallStep, TechniqueChange
 from mcmc1d.moves.technique import LOPSIDED
+from mcmc1d.numerics import normal_quantile
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Uniform
 from mcmc1d.verify import check_move, hard_target
@@ -39,8 +40,30 @@ class Stretched(Move):
         return Proposal(proposal.state, proposal.w + 1e-4 + steep, proposal.log_det)
 
 
+class LogitStep(Move):
+    """A Gaussian step of log(u / (1 - u)); its log-determinant times a factor, which is 1 where it is right.
+
+    The derivative of a sigmoid near 1 has as few digits as 1 - u' has: it is autodiff that is off there.
+    """
+
+    factor: float = 1.0
+
+    def dim_w(self, target):
+        return target.dim_u
+
+    def propose(self, target, state, w):
+        there = jnp.log(state.u) - jnp.log1p(-state.u) + 0.7 * normal_quantile(w)
+        density = jax.nn.log_sigmoid(there) + jax.nn.log_sigmoid(-there) - jnp.log(state.u) - jnp.log1p(-state.u)
+        return Proposal(State(state.index, jax.nn.sigmoid(there)), 1 - w, self.factor * density.sum())
+
+
 def failures(move, target=None):
     return {f.equation: f for f in check_move(move, target, points=2000, dtypes=[np.float64]).failures}
+
+
+def test_a_sigmoid_is_differentiated_badly_at_its_end():
+    assert check_move(LogitStep(), points=2000)
+    assert any("autodiff" in equation for equation in failures(LogitStep(1.001)))
 
 
 def test_the_hard_target_has_a_hole_where_the_target_is_bright():
