@@ -128,8 +128,8 @@ class Operator:
         noise = float(error.sum() * np.sqrt(2 / np.pi) / 2)
         require(
             noise < _UNKNOWN and masses.min() > -_UNKNOWN,
-            f"the law was not found: the net's scrambles differ by {noise:.2g} of total variation, the smallest mass is "
-            f"{masses.min():.2g}; raise `points` or take fewer cells",
+            f"the law was not found: the net's scrambles differ by {noise:.2g} of total variation, and the least "
+            f"mass is {masses.min():.2g}: raise `points` or take fewer cells",
         )
         return Law(masses, error, noise, float(np.abs(masses - here).sum() / 2))
 
