@@ -65,10 +65,7 @@ class _Contract:
             "forgets of u must be returned as v, and nothing more",
         )
         condition = condition_number(jacobian, slope, log_det)
-        # The log-determinant is often computed from x: next to a pole of the density the last bit of x, or of v, is
-        # felt in it. Four roundings of each; that a constant is wrong shows at every other point.
-        felt = (steepness(jacobian, slope) * np.abs(np.where(np.isfinite(image), image, 0))).sum(1)
-        at_u = Points(u, condition, rounding=4 * np.finfo(self.dtype).eps * felt)
+        at_u = Points(u, condition, rounding=self._felt(jacobian, slope, image))
         at_image = Points(image, condition, free=self.d)
         back, log_det_back, log_prob = self.maps.inverse(image)
 
@@ -101,6 +98,14 @@ class _Contract:
             outside(self.maps, image, self.seed),
             *linear(self.maps, image),
         ]
+
+    def _felt(self, jacobian: np.ndarray, slope: np.ndarray, image: np.ndarray) -> np.ndarray:
+        """What the last bits of x and v do to a log-determinant that is computed from them, as next to a pole.
+
+        Four roundings of each; that a constant is wrong shows at every other point.
+        """
+        size = np.abs(np.where(np.isfinite(image), image, 0))
+        return 4 * np.finfo(self.dtype).eps * (steepness(jacobian, slope) * size).sum(1)
 
     def _edges(self) -> set[float]:
         """The numbers u at which the density's breaks are reached, from the technique's own inverse."""
@@ -168,7 +173,8 @@ class _Contract:
         if len(points) == 0:
             return []
         claimed = log_det[~at_u.regular]
-        holds = np.zeros(len(points), bool)
+        # A derivative beyond the largest float is none that is infinite.
+        holds = np.isfinite(claimed) & (np.abs(claimed) > np.log(float(np.finfo(self.dtype).max)))
         eps = float(np.finfo(self.dtype).eps)
         one = np.ones((), self.dtype)
         for direction in directions(points.shape[1]):
@@ -202,7 +208,9 @@ class _Contract:
         fresh = np.column_stack([image[:, : self.d], v]).astype(self.dtype)
         at, log_det, _ = self.maps.inverse(fresh)
         there, log_det_there, jacobian, slope = self.maps.forward(at)
-        points = Points(at, condition_number(jacobian, slope, log_det_there))
+        # At a pole of the density, which another lobe's x may round to, there is no way back from u.
+        condition = np.where(np.isposinf(log_det), np.inf, condition_number(jacobian, slope, log_det_there))
+        points = Points(at, condition, rounding=self._felt(jacobian, slope, there))
 
         def describe(k: int) -> str:
             return (

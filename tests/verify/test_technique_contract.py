@@ -174,3 +174,44 @@ def test_the_density_and_its_logarithm_must_agree_inside_and_outside():
     for wrong in (TooLarge(1.0), NotZeroOutside(1.0)):
         broken = [check.equation for check in check_technique(wrong, points=200).failures]
         assert [equation.partition(": ")[2][:23] for equation in broken] == ["prob(x) = exp(log_prob("] * 2
+
+
+class Pareto(Inversion):
+    """a / x^(1 + a) from 1 on; the derivative of x at the last u is beyond float32. `off` is added to the exponent."""
+
+    off: float = 0.0
+    support = (1.0, np.inf)
+
+    def quantile(self, u):
+        return (1 - u) ** -5.0
+
+    def cdf(self, x):
+        return 1 - x**-0.2
+
+    def log_prob(self, x):
+        return jnp.where(x >= 1, jnp.log(0.2) - (1.2 + self.off) * jnp.log(jnp.maximum(x, 1)), -jnp.inf)
+
+
+class Square(Inversion):
+    """2 x, whose largest x rounds to 1."""
+
+    def quantile(self, u):
+        return jnp.sqrt(u)
+
+    def cdf(self, x):
+        return x**2
+
+    def log_prob(self, x):
+        return within(x, jnp.log(2 * x))
+
+
+def test_a_derivative_beyond_the_largest_float():
+    assert check_technique(Pareto(), points=2000)
+    assert not check_technique(Pareto(0.01), points=2000)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.001])
+def test_a_lobe_whose_samples_round_to_the_pole_of_another(factor):
+    """At a pole there is no way back, and next to one the last bit of x is all that there is; elsewhere it is seen."""
+    mixture = Mixture((Kumaraswamy(0.5, 0.5, factor), Square()), (0.5, 0.5))
+    assert bool(check_technique(mixture, points=2000)) == (factor == 1)
