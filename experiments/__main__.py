@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -65,6 +66,7 @@ def run(
     framework.style()
     surprises = []
     for name, module, config in todo:
+        began = time.perf_counter()
         kind = {"experiment": name, "config": dataclasses.asdict(config), "seed": seed}
         with journal(out / f".{name}.journal", kind, resume) as kept:
             try:
@@ -78,11 +80,14 @@ def run(
                 raise typer.Exit(130) from None
             claims = module.judge(data)
             record = framework.manifest(name, profile, config, seed, claims)
+            record["seconds"] = round(time.perf_counter() - began, 1)
             paths = framework.write(out, name, data, module.draw(data), record)
         console.print(module.table(data))
         _print_claims(claims)
         console.print(
-            f"{name}, seed {seed}: " + ", ".join(str(path) for path in paths), highlight=False, soft_wrap=True
+            f"{name}, seed {seed}, {record['seconds']:.0f} s: " + ", ".join(str(path) for path in paths),
+            highlight=False,
+            soft_wrap=True,
         )
         surprises += [claim for claim in claims if not claim.as_expected]
     for claim in surprises:
