@@ -84,11 +84,8 @@ def run(
             paths = framework.write(out, name, data, module.draw(data), record)
         console.print(module.table(data))
         _print_claims(claims)
-        console.print(
-            f"{name}, seed {seed}, {record['seconds']:.0f} s: " + ", ".join(str(path) for path in paths),
-            highlight=False,
-            soft_wrap=True,
-        )
+        where, took = ", ".join(str(path) for path in paths), record["seconds"]
+        console.print(f"{name}, seed {seed}, {took:.0f} s: {where}", highlight=False, soft_wrap=True)
         surprises += [claim for claim in claims if not claim.as_expected]
     for claim in surprises:
         errors.print(f"[red]{claim.id}: {claim.verdict}, where theory says {claim.expected}: {claim.number}[/]")
