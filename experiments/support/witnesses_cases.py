@@ -13,7 +13,7 @@ from experiments.support.beyond_rjmlt_dimensions import kernels as dimension_jum
 from mcmc1d import tempering
 from mcmc1d.checks import require_instance
 from mcmc1d.metropolis import Kernel
-from mcmc1d.moves import LargeStep, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
+from mcmc1d.moves import LargeStep, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange, TruncatedStep
 from mcmc1d.moves.exchange import CoordinateStep, Exchange
 from mcmc1d.moves.multiple_try import evenly
 from mcmc1d.moves.scaled import ScaledStep
@@ -22,10 +22,10 @@ from mcmc1d.pooled import Floored, floored, samples
 from mcmc1d.state import Multiplexed
 from mcmc1d.subchain import SplitSample, SubChain
 from mcmc1d.targets import Sinusoid
-from mcmc1d.techniques import Uniform
+from mcmc1d.techniques import Tent, Uniform
 from mcmc1d.techniques.gaussian import BoxMuller
 from mcmc1d.verify.mutants.steps import ClampedStep
-from mcmc1d.weights import PathSpace
+from mcmc1d.weights import Balance, PathSpace
 
 
 class Case(NamedTuple):
@@ -56,7 +56,7 @@ def cases() -> dict[str, Case]:
 def _multiplexing() -> dict[str, Case]:
     f, techniques, step = multiplexing.F, multiplexing.TECHNIQUES, StepAndChange(SmallStep(0.1))
     each = {name: Multiplexed(f, techniques, weights) for name, weights in multiplexing.HEURISTICS.items()}
-    naive = Multiplexed(f, (Uniform(),) * 3, PathSpace(multiplexing.Balance(), techniques))
+    naive = Multiplexed(f, (Uniform(),) * 3, PathSpace(Balance(), techniques))
     floor = floored(each["balance"])
     own = require_instance(floor.target, Floored, "the target of the floored index")
 
@@ -103,7 +103,7 @@ def _multiple_try() -> dict[str, Case]:
     tried = mtm_lambda.moves_on_the_line(0.2)
     right = ("right", "rotated", "even weights")
     made = {text: Case(claim, tried[name], mtm_lambda.LINE, name in right) for name, (claim, text) in _TRIED.items()}
-    clamped = mtm_lambda.TruncatedStep(0.2)
+    clamped = TruncatedStep(0.2)
     return {"clamped, with its normaliser": Case("mtm.clamped-with", clamped, mtm_lambda.LINE), **made}
 
 
@@ -144,12 +144,12 @@ def _jumps() -> dict[str, Case]:
     def chain(jump: Move) -> Move:
         return inverses.chain(0.1, jump)
 
-    nested = Multiplexed(inverses.F, (inverses.Tent(0.4), inverses.STEP, inverses.NESTED))
+    nested = Multiplexed(inverses.F, (Tent(0.4), inverses.STEP, inverses.NESTED))
     lobes = {
         f"lobe {name}": Case(
             "rjmlt.lobe-wrong-ratio" if "1 / p" in name else "rjmlt.lobe-any-choice",
             chain(ReversibleJump()),
-            Multiplexed(inverses.F, (inverses.Tent(0.4), technique)),
+            Multiplexed(inverses.F, (Tent(0.4), technique)),
             "1 / p" not in name,
         )
         for name, technique in inverses.LOBES.items()
