@@ -155,7 +155,11 @@ class Operator:
         return float(np.sqrt(squares / (r - 1) / r).sum() / _c4(r) * np.sqrt(2 / np.pi) / 2)
 
     def spectral_gap(self) -> float:
-        """1 - |lambda_2|, of P: the rate at which what is left of the start decays."""
+        """1 - |lambda_2|, of P: the rate at which what is left of the start decays.
+
+        Of the chain on cells, which forgets where inside a cell it was: too large for a kernel that is slow on a scale
+        below the cells', as one of multiplicative steps near a wall. Finer cells show whether it is.
+        """
         return 1 - abs(eigenvalues(self.mean_flux, 2)[1])
 
     def integrated_autocorrelation_time(self, g: Function | ArrayLike) -> float:
