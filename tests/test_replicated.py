@@ -63,7 +63,7 @@ def test_its_deposits_are_samples_of_f():
 def test_what_is_no_replica_is_refused():
     with pytest.raises(ValueError, match="different ones of 0 to 1"):
         Replicated(PAIR, (0, 0))
-    with pytest.raises(ValueError, match="no 2 or more replicas of 1"):
+    with pytest.raises(ValueError, match="must hold 2 replicas of 1 numbers"):
         Exchange().check(mcmc1d.Multiplexed(Sinusoid(), Tent()))
     with pytest.raises(ValueError, match="2 replicas have as many shares"):
         ReplicaDeposit(SWAPPING, np.ones(3)).check(replicated(PAIR))

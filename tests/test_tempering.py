@@ -273,7 +273,7 @@ def test_the_floor_of_a_number_is_an_index():
         (lambda: Sum([]), "one target at least"),
         (lambda: Product([]), "one technique at least"),
         (lambda: PooledDeposit(SmallStep()).check(PAIR), "must be a Pooled"),
-        (lambda: Exchange().check(PAIR), "two coordinates of u"),
+        (lambda: Exchange().check(PAIR), "must hold 2 replicas of 1 numbers"),
         (lambda: CoordinateStep(0.1, 3).check(PAIR), "there is no 3"),
         (lambda: mcmc1d.Multiplexed(SINUSOID, Tent(), weights.Parts([SINUSOID, SINUSOID])), "one target for each"),
     ],

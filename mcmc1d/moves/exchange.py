@@ -92,7 +92,7 @@ def _require_replicas(who: str, target: Multiplexed, width: int, least: int) -> 
     m = target.dim_u
     require(
         width >= 1 and m % width == 0 and m // width >= least,
-        f"{who}: {m} numbers of u are no {least} or more replicas of {width}",
+        f"{who}: u must hold {least} replicas of {width} numbers or more, and nothing else; it has {m} numbers",
     )
 
 
