@@ -30,7 +30,7 @@ class Config:
     checked: int = 1000
     """Random points of each contract, beside the edges."""
     bins: int = 20
-    points: int = 2**15
+    points: int = 2**17
     """Of a net, of which there are eight, for each technique."""
     replicas: int = 2**15
     """Of each verification's first stage."""
