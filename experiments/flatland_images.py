@@ -1,7 +1,7 @@
 """Every integrator in every scene of flatland, each pixel held to the exact image; wrong integrators, which fail."""
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -14,7 +14,7 @@ from rich.table import Table
 
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
-from mcmc1d.flatland.integrators import INTEGRATORS, Image, integrate
+from mcmc1d.flatland.integrators import BIASED, FURTHER, INTEGRATORS, Image, integrate
 from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.mutants import mutants
 from mcmc1d.flatland.reference import image
@@ -22,6 +22,13 @@ from mcmc1d.flatland.scenes import catalogue, scene
 
 LEVEL = 1e-4
 """Family-wise: that any pixel of any right image fails."""
+
+
+STRICT = ("pt", "bdpt", "pssmlt_sum", "pssmlt_max", "mmlt", "rjmlt")
+"""Held to the error that is asked for; the others to three times as much."""
+
+CHAINS = 2**16
+"""Of what runs chains: a deviation of their mean is bounded by their number."""
 
 
 @dataclass(frozen=True)
@@ -32,26 +39,49 @@ class Config:
     integrators: str = "pt bdpt mmlt rjmlt"
     mutants: str = "r_squared techniques_missing"
     lengths: int = 2
-    log2_samples: int = 22
-    """Of each length: paths or mutations."""
     pixels: int = 16
+    log2_pilot: int = 20
+    """Samples of each length, paths or mutations, of a first image, which says how many the second needs."""
+    goal: float = 0.1
+    """The error of a pixel that is to be found, of the total or, in a dark pixel, of the image's mean."""
+    log2_work: int = 30
+    """No second image may take more rays times segments."""
 
 
 PROFILES = {
     "quick": Config(),
-    "paper": Config(scenes="all", integrators="all", mutants="all", lengths=5, log2_samples=25),
+    "paper": Config(
+        # Not office, whose exact image is out of reach.
+        scenes="box door furnace glossy_corner lab mirror_caustic occluder open three_rooms",
+        integrators="all",
+        mutants="all",
+        lengths=3,
+        goal=0.01,
+        log2_work=32,
+    ),
 }
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Render each scene with each integrator, and what the mutants' own scenes and samples are."""
     scenes = _chosen(config.scenes, catalogue())
-    names, wrong = _chosen(config.integrators, INTEGRATORS), _chosen(config.mutants, mutants())
+    names, wrong = _chosen(config.integrators, INTEGRATORS | FURTHER), _chosen(config.mutants, mutants())
     known = progress.map("references", exact_image, [(s, config.lengths, config.pixels) for s in scenes])
     exact = dict(zip(scenes, known, strict=True))
     level = LEVEL / (len(scenes) * len(names) + len(wrong))
     points = [
-        (s, name, config.lengths, config.pixels, config.log2_samples, seed, level, *exact[s])
+        (
+            s,
+            name,
+            config.lengths,
+            config.pixels,
+            config.log2_pilot,
+            config.goal,
+            config.log2_work,
+            seed,
+            level,
+            *exact[s],
+        )
         for s in scenes
         for name in names
     ]
@@ -65,11 +95,12 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     cells = ("scene", "integrator")
     return xr.Dataset(
         {
-            **{of: (cells, grid(of)) for of in ("excess", "detectable", "twin", "blind", "rays")},
+            **{of: (cells, grid(of)) for of in ("excess", "detectable", "twin", "blind", "rays", "samples")},
             "right_passes": ("mutant", [right for right, _ in caught]),
             "caught": ("mutant", [found for _, found in caught]),
             "pixels": config.pixels,
             "lengths": config.lengths,
+            "goal": config.goal,
         },
         {"scene": scenes, "integrator": names, "mutant": wrong},
     )
@@ -94,7 +125,9 @@ def held(
     integrator: str,
     lengths: int,
     pixels: int,
-    log2_samples: int,
+    log2_pilot: int,
+    goal: float,
+    log2_work: int,
     seed: int,
     level: float,
     values: list[Any],
@@ -102,25 +135,35 @@ def held(
 ) -> dict[str, float]:
     """One image against the exact one: each length and the total, every pixel.
 
-    The worst pixel's excess in radii of the test, the median and largest smallest detectable error of a pixel that is
-    not dark, whether the image without one technique's factor is caught, and whether the integrator said that it can
-    not make this scene's light.
+    The worst pixel's excess in radii of the test, the largest of the total's smallest detectable errors, whether the
+    image without one technique's factor is caught, and whether the integrator can not make this scene's light.
     """
-    key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(integrator.encode()))
+    make, of = (INTEGRATORS | FURTHER)[integrator], scene(name).with_pixels(pixels)
+    if hasattr(make, "chains"):
+        make = replace(make, chains=CHAINS)
     try:
-        found = integrate(key, integrator, scene(name), lengths=lengths, samples=2**log2_samples, pixels=pixels)
-    except ValueError as error:
-        if "seen in a mirror" not in str(error):
-            raise
-        return {"excess": 0.0, "detectable": np.nan, "twin": np.nan, "blind": 1.0, "rays": 0.0}
-    result = compare(found, np.array(values), np.array(errors), level)
+        for edges in range(1, lengths + 1):
+            make.check(of, edges)
+    except ValueError:
+        return {"excess": 0.0, "detectable": np.nan, "twin": np.nan, "blind": 1.0, "rays": 0.0, "samples": 0.0}
+    exact = np.array(values), np.array(errors)
+    first, second = jax.random.split(jax.random.fold_in(jax.random.key(seed), zlib.crc32(integrator.encode())))
+    pilot = 2**log2_pilot
+    looked = integrate(first, make, of, lengths=lengths, samples=pilot)
+    goal *= 1 if integrator in STRICT else 3
+    needed = 1.2 * (float(compare(looked, *exact, level).detectable[-1].max()) / goal) ** 2  # the pilot errs, too
+    allowed = 2**log2_work / (looked.rays * len(of.segments))
+    samples = int(pilot * max(min(needed, allowed), 1 / 4))
+    found = integrate(second, make, of, lengths=lengths, samples=samples)
+    result = compare(found, *exact, level)
     off = Image([layer.scaled((layer.edges + 1) / (layer.edges + 2)) for layer in found.layers])
     return {
         "excess": float(result.excess.max()),
         "detectable": float(result.detectable[-1].max()),
-        "twin": float(not compare(off, np.array(values), np.array(errors), level).agrees),
+        "twin": float(not compare(off, *exact, level).agrees),
         "blind": 0.0,
         "rays": float(found.rays),
+        "samples": float(samples),
     }
 
 
@@ -142,50 +185,67 @@ def catches(name: str, seed: int, level: float) -> tuple[bool, bool]:
 
 def draw(data: xr.Dataset) -> Figure:
     """For each scene and integrator, the worst pixel, and the error of the total that would have been found."""
-    excess, detectable = data.excess.to_numpy(), data.detectable.to_numpy()
-    figure, axes = plt.subplots(figsize=(7.0, 0.36 * len(excess) + 1.3))
-    axes.imshow(np.minimum(excess, 1.2), aspect="auto", cmap="Blues", vmin=0, vmax=2.0)
+    excess = data.excess.to_numpy()
+    names = [str(n) for n in data.integrator.to_numpy()]
+    figure, axes = plt.subplots(figsize=(7.0, 0.3 * len(excess) + 1.3))
+    biased = np.array([name in BIASED for name in names])
+    shade = np.where(biased | (data.blind.to_numpy() > 0), 0, np.minimum(excess, 1.2))
+    axes.imshow(shade, aspect="auto", cmap="Blues", vmin=0, vmax=2.0)
+    size = 6 if len(names) < 12 else 4
     for (row, column), value in np.ndenumerate(excess):
-        blind = bool(data.blind[row, column])
-        text = "blind" if blind else f"{value:.2f}\n{detectable[row, column]:.1%}"
-        axes.text(column, row, text, ha="center", va="center", fontsize=6, color="black" if value <= 1 else "C3")
-    axes.set_xticks(range(excess.shape[1]), [str(n).replace("_", "\n") for n in data.integrator.to_numpy()], fontsize=6)
-    axes.set_yticks(range(excess.shape[0]), [str(n).replace("_", " ") for n in data.scene.to_numpy()], fontsize=6)
+        failing = value > 1 and not biased[column]
+        color = "C3" if failing else "0.5" if biased[column] else "black"
+        axes.text(column, row, _cell(data, row, column, "\n"), ha="center", va="center", fontsize=size, color=color)
+    axes.set_xticks(range(len(names)), [n.replace("_", "\n") for n in names], fontsize=size)
+    axes.set_yticks(range(len(excess)), [str(n).replace("_", " ") for n in data.scene.to_numpy()], fontsize=6)
     axes.tick_params(which="both", length=0)
     axes.minorticks_off()
-    axes.set_title("worst pixel, in radii of the test (over 1 fails); smallest error of the total found", fontsize=7)
+    title = "worst pixel, in radii of the test (over 1 fails; grey: biased); smallest error of the total found"
+    axes.set_title(title, fontsize=7)
     return figure
+
+
+def _cell(data: xr.Dataset, row: int, column: int, between: str) -> str:
+    if bool(data.blind[row, column]):
+        return "blind"
+    excess, detectable = float(data.excess[row, column]), float(data.detectable[row, column])
+    found = "none" if np.isinf(detectable) else f"{detectable:.1%}" if detectable < 1 else f"{detectable:.0%}"
+    return f"{excess:.2f}{between}{found}"
 
 
 def table(data: xr.Dataset) -> Table:
     """The same numbers."""
     result = Table("scene", *[str(n) for n in data.integrator.to_numpy()], title="flatland_images", box=SIMPLE)
     for row, name in enumerate(data.scene.to_numpy()):
-        cells = [
-            "blind" if float(data.blind[row, c]) else f"{float(data.excess[row, c]):.2f} {float(d):.1%}"
-            for c, d in enumerate(data.detectable[row])
-        ]
-        result.add_row(str(name), *cells)
+        result.add_row(str(name), *[_cell(data, row, column, " ") for column in range(data.sizes["integrator"])])
     return result
 
 
 def judge(data: xr.Dataset) -> list[Claim]:
-    """Right integrators agree with the exact images; wrong ones do not; light tracing says what it can not see."""
-    excess, seen = data.excess.to_numpy(), data.blind.to_numpy() == 0
-    detectable, twins = data.detectable.to_numpy()[seen], data.twin.to_numpy()[seen]
+    """Right integrators agree with the exact images, wrong ones do not; which of the asked errors would be found."""
+    names = data.integrator.to_numpy()
+    exact = data.isel(integrator=[k for k, name in enumerate(names) if str(name) not in BIASED])
+    excess, seen = exact.excess.to_numpy(), exact.blind.to_numpy() == 0
+    detectable = exact.detectable.to_numpy()
+    goals = float(data.goal) * np.where(np.isin(exact.integrator.to_numpy(), STRICT), 1, 3)
+    bounded = seen & np.isfinite(detectable)
+    sharp = int((bounded & (detectable <= goals)).sum())
+    twins = exact.twin.to_numpy()[seen]
     caught, right = data.caught.to_numpy(), data.right_passes.to_numpy()
     missed = [str(m) for m in data.mutant.to_numpy()[~(caught & right)]]
-    shape = f"{data.sizes['scene']} scenes, {data.sizes['integrator']} integrators, {int(data.lengths)} lengths"
-    found = f"{np.median(detectable):.2%} of a pixel's total in the median image, {np.max(detectable):.2%} at most"
-    return [
+    shape = f"{exact.sizes['scene']} scenes, {exact.sizes['integrator']} integrators, {int(data.lengths)} lengths"
+    asked = f"{float(data.goal):.0%} (the five named) or {3 * float(data.goal):.0%}"
+    found = f"{np.median(detectable[bounded]):.1%} of a pixel's total in the median image"
+    blind = f"{int((~seen).sum())} of {seen.size} blind"
+    claims = [
         Claim(
             "flatland.images",
             f"Per pixel, per length and in total, in absolute scale, images are exact: {shape}",
             "Veach 1997; Hachisuka et al. 2014, eqs. 16 to 20; Bitterli et al. 2017, eqs. 8 to 14",
             "holds" if excess.max() <= 1 else "fails",
             "holds",
-            f"worst pixel at {excess.max():.2f} of what would have failed",
-            f"family-wise {LEVEL:g}, empirical Bernstein; would have found {found}",
+            f"worst pixel at {excess.max():.2f} of what would have failed; {blind}",
+            f"family-wise {LEVEL:g}, Bernstein; would have found {found}, and {asked} in {sharp} of {seen.sum()}",
         ),
         Claim(
             "flatland.mutants",
@@ -197,3 +257,19 @@ def judge(data: xr.Dataset) -> list[Claim]:
             f"one technique's share left out is caught in {int(twins.sum())} of {twins.size} images",
         ),
     ]
+    return claims + ([_bias(data)] if any(str(name) in BIASED for name in names) else [])
+
+
+def _bias(data: xr.Dataset) -> Claim:
+    """That what is known to be biased is caught somewhere."""
+    biased = data.isel(integrator=[k for k, name in enumerate(data.integrator.to_numpy()) if str(name) in BIASED])
+    worst = {str(n): float(biased.excess.sel(integrator=n).max()) for n in biased.integrator.to_numpy()}
+    return Claim(
+        "flatland.biased",
+        "Published coherent deposits, clamped virtual lamps and photon density estimation miss the exact image",
+        "Segovia et al. 2007, section 5.2; Keller 1997; Jensen 1996",
+        "holds" if all(value > 1 for value in worst.values()) else "fails",
+        "holds",
+        ", ".join(f"{name}: worst pixel at {value:.1f}" for name, value in worst.items()),
+        f"1: what fails at a family-wise {LEVEL:g}",
+    )

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from mcmc1d.checks import require_instance, rising
 from mcmc1d.metropolis import Deposited, Deposits, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, SmallStep
-from mcmc1d.numerics import cast, log_sum, require
+from mcmc1d.numerics import cast, require, select
 from mcmc1d.quadrature import integrate
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import DensityOf, Target
@@ -62,13 +62,17 @@ class Pooled(Target):
 
     def combined(self, log_c: Float[Array, " n"]) -> Scalar:
         """Log C of the techniques' log C_i."""
-        return log_sum(list(log_c)) if self.combine == "sum" else jnp.max(log_c)
+        # By reductions: taken apart into numbers, each would have all techniques' work done for itself.
+        return jax.nn.logsumexp(log_c) if self.combine == "sum" else jnp.max(log_c)
 
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         """Log C at u = x; -inf outside of the cube."""
         u = jnp.atleast_1d(x)
-        value = self.combined(self.contributions(u)[1])
-        return jnp.where(jnp.all((u >= 0) & (u <= 1)), value, -jnp.inf)
+        return self.value(u, self.contributions(u)[1])
+
+    def value(self, u: Float[Array, " m"], log_c: Float[Array, " n"]) -> Scalar:
+        """Log C at u, of the techniques' log C_i there."""
+        return jnp.where(jnp.all((u >= 0) & (u <= 1)), self.combined(log_c), -jnp.inf)
 
     def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
         require(self.multiplexed.dim_u == 1, "Pooled: the masses of bins of u are known for one u only")
@@ -181,25 +185,47 @@ class PooledDeposit(OfMove[Move]):
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         own = _pooled(target)
         proposal = self.move.propose(target, state, w[:-1])
+        made = own.contributions(proposal.state.u)
+        # All techniques' work, which is most of a step's: done once for the density and for the deposits.
+        known = eqx.tree_at(lambda t: t.target, target, _Known(own.domain, own.value(proposal.state.u, made[1])))
+        proposal = eqx.tree_at(
+            lambda p: p.state, proposal, known.evaluate(State(proposal.state.index, proposal.state.u))
+        )
         step = accept(target, state, proposal, w[-1], "plain")
         a = step.info.acceptance[0]
-        there = jnp.where(a > 0, proposal.state.u, state.u)  # an impossible proposal may be no point at all
-        parts = [_shares(own, u, share) for u, share in ((state.u, 1 - a), (there, a))]
-        x, weight = (jnp.concatenate(both) for both in zip(*parts, strict=True))
-        index = jnp.zeros(weight.shape, jnp.int32)
+        here = own.contributions(state.u)
+        there = select(a > 0, made, here)  # an impossible proposal may be no point at all
+        weight = jnp.concatenate([_shares(own, here[1], 1 - a), _shares(own, there[1], a)])
+        x, index = jnp.concatenate([here[0], there[0]]), jnp.zeros(weight.shape, jnp.int32)
         return Step(step.state, Deposits(x, index, weight), step.info)
+
+
+class _Known(Target):
+    """What `Pooled` is at the one point where its value has been found."""
+
+    corners: Corners
+    value: Scalar
+
+    @property
+    def domain(self) -> Corners:
+        return self.corners
+
+    def log_f(self, x: Float[Array, "..."]) -> Scalar:
+        return self.value
+
+    def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
+        raise NotImplementedError("Pooled: one value of it has no masses")
 
 
 def _pooled(target: Multiplexed) -> Pooled:
     return require_instance(target.target, Pooled, "PooledDeposit: the chain's target", "; see pooled()")
 
 
-def _shares(own: Pooled, u: Float[Array, " m"], share: Scalar) -> tuple[Array, Array]:
-    """The samples of u, and the share dealt out to them; a dark u, from which every chain leaves, gives nothing."""
-    x, log_c = own.contributions(u)
+def _shares(own: Pooled, log_c: Float[Array, " n"], share: Scalar) -> Float[Array, " n"]:
+    """The share dealt out to the samples of one u; a dark u, from which every chain leaves, gives nothing."""
     log_total = own.combined(log_c)
     lit = jnp.isfinite(log_total) & (log_c > -jnp.inf)
-    return x, jnp.where(lit, share * jnp.exp(jnp.where(lit, log_c - log_total, 0)), 0)
+    return jnp.where(lit, share * jnp.exp(jnp.where(lit, log_c - log_total, 0)), 0)
 
 
 def _cube_domain(m: int) -> Corners:

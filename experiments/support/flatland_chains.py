@@ -81,7 +81,8 @@ def mixed_kernel(sigma: float, mix: Mapping[str, float], matrix: np.ndarray) -> 
         ReversibleJump(),
         AimedJump(),
     )
-    return Metropolis(Mixture({name: (mix.get(name, 0.0), move) for name, move in zip(MOVES, moves, strict=True)}))
+    mixed = {name: (mix.get(name, 0.0), move) for name, move in zip(MOVES, moves, strict=True)}
+    return Metropolis(Mixture(mixed, seldom=("jump", "aimed")))
 
 
 class Film(Estimator):

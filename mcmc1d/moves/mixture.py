@@ -1,12 +1,13 @@
 """A move chosen at random among several, each step."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.batching import only_where
 from mcmc1d.checks import require_instance
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick, require
@@ -18,17 +19,25 @@ class Mixture(Move):
     """One of several moves, each with a fixed probability: w[0] chooses, the rest is the chosen move's.
 
     The choice does not depend on the state, so w'[0] = w[0] and the mixture is an involution where the moves are.
-    Every branch proposes (as a switch under `vmap` would); the target is evaluated once, at the chosen proposal.
+    Every branch proposes (as a switch under `vmap` would), but for those that are `seldom` chosen; the target is
+    evaluated once, at the chosen proposal.
     """
 
     moves: tuple[Move, ...]
     probabilities: Float[Real, " n"]
     names: tuple[str, ...] = eqx.field(static=True)
+    seldom: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, moves: Mapping[str, tuple[ArrayLike, Move]]):
-        """`moves`: name -> (probability, move); the probabilities sum to one."""
+    def __init__(self, moves: Mapping[str, tuple[ArrayLike, Move]], *, seldom: Sequence[str] = ()):
+        """`moves`: name -> (probability, move); the probabilities sum to one.
+
+        `seldom`: the names of moves that propose only in those chains of a batch that have chosen them: faster for a
+        move that is chosen by one in ten or fewer and costs more than all others, slower else. The law is the same.
+        """
         require(len(moves) > 0, "Mixture: give one move at least")
-        self.names = tuple(moves)
+        self.names, self.seldom = tuple(moves), tuple(seldom)
+        unknown = set(self.seldom) - set(self.names)
+        require(not unknown, f"Mixture: seldom names no move of it: {', '.join(sorted(unknown))}")
         for name, (_, move) in moves.items():
             require_instance(move, Move, f"Mixture: move {name!r}")
         self.moves = tuple(move for _, move in moves.values())
@@ -58,9 +67,12 @@ class Mixture(Move):
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
         chosen = locate(cumulative([jnp.asarray(p) for p in self.probabilities]), w[0])
         points, rests, evals = [], [], []
-        for move in self.moves:
+        for k, move in enumerate(self.moves):
             r = move.dim_w(target)
-            proposal = move.propose(target, state, w[1 : 1 + r])
+            if self.names[k] in self.seldom:
+                proposal = only_where(jnp.equal(chosen, k), move.propose, target, state, w[1 : 1 + r])
+            else:
+                proposal = move.propose(target, state, w[1 : 1 + r])
             points.append((proposal.state.index, proposal.state.u, proposal.log_det))
             rests.append(jnp.concatenate([w[:1], proposal.w, w[1 + r :]]))
             evals.append(proposal.state.eval)

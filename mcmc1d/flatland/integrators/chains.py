@@ -199,10 +199,9 @@ class RJMLT(Metropolised):
     def kernel(self) -> Kernel:
         jump = AimedJump() if self.aimed else ReversibleJump()
         small = 1 - self.large - self.jump
-        large = StepAndChange(LargeStep())
-        return Metropolis(
-            Mixture({"large": (self.large, large), "small": (small, SmallStep(self.sigma)), "jump": (self.jump, jump)})
-        )
+        steps = {"large": (self.large, StepAndChange(LargeStep())), "small": (small, SmallStep(self.sigma))}
+        # A path's inverse costs several times its making.
+        return Metropolis(Mixture({**steps, "jump": (self.jump, jump)}, seldom=("jump",)))
 
     def limits(self, techniques: int) -> tuple[float, float]:
         return 1.0, float(techniques)

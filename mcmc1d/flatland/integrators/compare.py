@@ -4,6 +4,7 @@ What is summed is bounded, by 1 or by the brightest that a path's f / p can be, 
 known without a central limit: rare bright paths, which no sample variance has seen, are paid for by the bound.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,19 +37,46 @@ def bernstein_radius(sums: Sums, level: float) -> np.ndarray:
     return np.sqrt(2 * sums.variance * log / sums.size) + 7 * sums.bound * log / (3 * (sums.size - 1))
 
 
-def interval(layer: Layer | Stacked, level: float) -> tuple[np.ndarray, np.ndarray]:
-    """Between what and what each pixel of a length's exact image lies, but with probability `level` each."""
-    if isinstance(layer, Stacked):  # of a sum, the sum of the intervals at their shares of the level
-        ends = [interval(part, level / len(layer.layers)) for part in layer.layers]
-        return np.sum([low for low, _ in ends], axis=0), np.sum([high for _, high in ends], axis=0)
-    b = layer.normaliser
-    share = level if b is None else level / 2
-    mean, radius = layer.deposits.mean, bernstein_radius(layer.deposits, share)
-    least, most = (
-        (1.0, 1.0) if b is None else (b.mean - bernstein_radius(b, share), b.mean + bernstein_radius(b, share))
-    )
-    low, high = np.maximum(mean - radius, 0) * np.maximum(least, 0), (mean + radius) * most
-    return layer.scale * low, layer.scale * high
+def radius(layers: Sequence[Layer | Stacked], level: float) -> np.ndarray:
+    """How far the sum of these layers strays from the exact one at most, in each pixel, but with probability `level`.
+
+    Layers are independent, and so are a layer's deposits and its normaliser: Bernstein's inequality holds for all of
+    them together. The layers of a stack depend on those before them: each has a share of the level of its own.
+    """
+    alone = [layer for layer in layers if isinstance(layer, Layer)]
+    parts = [part for layer in layers if isinstance(layer, Stacked) for part in layer.layers]
+    groups = ([alone] if alone else []) + [[part] for part in parts]
+    return np.sum([_radius(group, level / len(groups)) for group in groups], axis=0)
+
+
+def _radius(layers: Sequence[Layer], level: float) -> np.ndarray:
+    """Of independent layers: Bernstein's inequality, at half the level, for what errs in the first order.
+
+    b' d' - b d = b (d' - d) + d (b' - b) + (b' - b) (d' - d), with d the mean deposit and b what normalises it. The
+    standard deviations and the b and d of the first two terms are replaced by upper bounds, and the last is bounded,
+    at the other half: `bernstein_radius`; Maurer and Pontil 2009, theorem 10, for a standard deviation.
+    """
+    events = sum(1 if layer.normaliser is None else 4 for layer in layers)
+    log, small = np.log(4 / level), level / (2 * events)
+    variance, largest, beyond = np.zeros(()), np.zeros(()), np.zeros(())
+
+    def add(sums: Sums, factor: np.ndarray) -> None:
+        nonlocal variance, largest
+        deviation = np.sqrt(sums.variance) + sums.bound * np.sqrt(2 * np.log(1 / small) / (sums.size - 1))
+        variance = variance + (factor * deviation) ** 2 / sums.size
+        largest = np.maximum(largest, factor * sums.bound / sums.size)
+
+    for layer in layers:
+        d, b, scale = layer.deposits, layer.normaliser, np.asarray(layer.scale)
+        if b is None:
+            add(d, scale)
+            continue
+        of_d, of_b = bernstein_radius(d, small), bernstein_radius(b, small)
+        add(d, scale * (b.mean + of_b))
+        add(b, scale * (d.mean + of_d))
+        beyond = beyond + scale * of_d * of_b
+    tail = largest * log / 3
+    return tail + np.sqrt(tail**2 + 2 * variance * log) + beyond
 
 
 def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, level: float = 1e-5) -> Comparison:
@@ -65,25 +93,17 @@ def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, 
     )
     lengths, pixels = values.shape
     each = level / (pixels * (lengths + 1))
-    low, high = (np.stack(ends) for ends in zip(*(interval(layer, each) for layer in image.layers), strict=True))
-    # The total's interval is the sum of the lengths', at their share of its level: wide, and true.
-    shared = [interval(layer, each / lengths) for layer in image.layers]
-    low, high = (
-        np.concatenate([ends, np.sum([s[k] for s in shared], axis=0)[None]]) for k, ends in enumerate((low, high))
-    )
+    around = np.stack([radius([layer], each) for layer in image.layers] + [radius(image.layers, each)])
     found = np.concatenate([image.values, image.total[None]])
     error = np.concatenate([image.errors, image.total_error[None]])
     exact = np.concatenate([values, values.sum(0)[None]])
     known = np.concatenate([errors, errors.sum(0)[None]])
-    over, under = exact - found, found - exact
-    missed = np.maximum(np.maximum(over, under) - known, 0)
-    radius = np.where(over > 0, high - found, found - low)
-    tiny = np.finfo(np.float64).tiny
-    excess = np.where(missed > 0, missed / np.maximum(radius, tiny), 0)
+    missed = np.maximum(np.abs(exact - found) - known, 0)
+    excess = np.where(missed > 0, missed / np.maximum(around, np.finfo(np.float64).tiny), 0)
     scale = np.maximum(exact, exact.mean(1, keepdims=True))
-    widest = np.maximum(high - found, found - low) + known - ndtri(0.01) * error
+    widest = around + known - ndtri(0.01) * error
     detectable = np.where(scale > 0, widest / np.where(scale > 0, scale, 1), 0)
     return Comparison(excess, detectable)
 
 
-__all__ = ["Comparison", "bernstein_radius", "compare", "interval"]
+__all__ = ["Comparison", "bernstein_radius", "compare", "radius"]
