@@ -1,4 +1,4 @@
-"""Paths per second of every integrator of flatland, by one core's own time: what a mutation or a sample costs."""
+"""Paths per second of every integrator of flatland, by one core's own time, and how much of the core that takes."""
 
 import time
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from functools import partial
 from statistics import median
 
 import jax
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -15,12 +16,17 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.roofline import operations, roof
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland import Paths
-from mcmc1d.flatland.integrators import INTEGRATORS
+from mcmc1d.flatland.integrators import INTEGRATORS, Integrator
 from mcmc1d.flatland.integrators.base import exposed
 from mcmc1d.flatland.integrators.chains import EachChain, Metropolised
 from mcmc1d.flatland.scenes import scene
+from mcmc1d.numerics import cast
+from mcmc1d.random import uniforms
+from mcmc1d.state import Multiplexed, State
+from mcmc1d.types import Array, Key
 
 _CHAINS = 4096
 _AIM = 5e6
@@ -51,15 +57,19 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     scenes = config.scenes.split()
     names = list(INTEGRATORS) if config.integrators == "all" else config.integrators.split()
     points = [(s, name, config.edges, config.log2_samples, config.rounds, seed) for s in scenes for name in names]
-    rates = progress.map("speed", rate, points, timed=True)
+    found = np.array(progress.map("speed", rate, points, timed=True)).reshape(len(scenes), len(names), 2)
+    cells = ("scene", "integrator")
     return xr.Dataset(
-        {"rate": (("scene", "integrator"), np.array(rates).reshape(len(scenes), len(names))), "edges": config.edges},
+        {"rate": (cells, found[..., 0]), "operations": (cells, found[..., 1]), "roof": roof(), "edges": config.edges},
         {"scene": scenes, "integrator": names},
     )
 
 
-def rate(name: str, integrator: str, edges: int, log2_samples: int, rounds: int, seed: int) -> float:
-    """Paths or mutations per second of processor time, the median of rounds; where one u makes all paths, of u."""
+def rate(name: str, integrator: str, edges: int, log2_samples: int, rounds: int, seed: int) -> tuple[float, float]:
+    """Paths or mutations per second of processor time, the median of rounds; and the operations of each.
+
+    Where one u makes all paths, of u.
+    """
     make = INTEGRATORS[integrator]
     paths, samples = Paths(scene(name), edges), 2**log2_samples
     target, key = make.target(paths), jax.random.key(seed)
@@ -76,28 +86,67 @@ def rate(name: str, integrator: str, edges: int, log2_samples: int, rounds: int,
         begin = time.process_time()
         work(jax.random.key(k + 1))
         spent.append(time.process_time() - begin)
-    return samples / median(spent)
+    return samples / median(spent), work_of(make, target, paths)
+
+
+_LANES = 256
+
+
+def work_of(make: Integrator, target: Multiplexed, paths: Paths) -> float:
+    """The operations of one path or mutation: random numbers, the path, its light, densities, and the film.
+
+    What is seldom chosen (a jump) counts for one in sixteen, which is how it is batched.
+    """
+    key, dtype = jax.random.key(0), jnp.float32
+    target, paths = cast((target, paths), dtype)
+    start = State(jnp.zeros(_LANES, jnp.int32), jnp.full((target.dim_u, _LANES), 0.5, dtype))
+    looked = partial(jax.vmap, in_axes=-1, out_axes=-1)
+
+    def sample(key: Key) -> Array:
+        numbers = uniforms(key, 0, (target.dim_u + 1, _LANES), dtype)
+        index = (numbers[0] * target.n_techniques).astype(jnp.int32)
+        seen = looked(target.evaluate)(State(index, numbers[1:])).seen
+        light = jnp.where(looked(paths.pixel)(seen.x) == jnp.arange(paths.sensor.pixels)[:, None], seen.log_c, 0)
+        return jnp.exp(light[0]) + light.sum(0) + (light * light).sum(0)
+
+    def mutation(state: State, key: Key) -> Array:
+        assert isinstance(make, Metropolised)
+        kernel, film = cast((make.kernel(), EachChain(paths, _LANES)), dtype)
+        steps = looked(partial(kernel.step, target))(state, uniforms(key, 0, (kernel.dim_w(target), _LANES), dtype))
+        return film.update(film.init(target, kernel, dtype), steps)
+
+    if isinstance(make, Metropolised):
+        return operations(mutation, looked(target.evaluate)(start), key) / _LANES
+    return operations(sample, key) / _LANES
 
 
 def draw(data: xr.Dataset) -> Figure:
-    """Bars, by scene."""
+    """Bars, by scene, and over each the share of what the core could do."""
     figure, axes = plt.subplots(figsize=(3.4, 2.4))
     names, width = data.integrator.to_numpy(), 0.8 / data.sizes["scene"]
     for k, name in enumerate(data.scene.to_numpy()):
-        axes.bar(np.arange(len(names)) + k * width, data.rate[k] / 1e6, width, label=str(name))
+        bars = axes.bar(np.arange(len(names)) + k * width, data.rate[k] / 1e6, width, label=str(name))
+        axes.bar_label(bars, [f"{share:.0%}" for share in _share(data)[k]], fontsize=4, padding=1)
     axes.axhline(_AIM / 1e6, color="0.6", linewidth=0.7, linestyle="--")
     axes.set_xticks(np.arange(len(names)) + 0.4 - width / 2, [str(n) for n in names], rotation=45, ha="right")
     axes.minorticks_off()
     axes.set_ylabel("10⁶ paths a second of one core")
-    axes.legend()
+    axes.legend(title="share of multiply-adds' rate over bars", title_fontsize=5, fontsize=6)
     return figure
 
 
+def _share(data: xr.Dataset) -> np.ndarray:
+    return (data.rate * data.operations / data.roof).to_numpy()
+
+
 def table(data: xr.Dataset) -> Table:
-    """Millions a second."""
-    result = Table("scene", *[str(n) for n in data.integrator.to_numpy()], title="flatland_speed, 10^6/s", box=SIMPLE)
-    for k, name in enumerate(data.scene.to_numpy()):
-        result.add_row(str(name), *[f"{float(r) / 1e6:.2f}" for r in data.rate[k]])
+    """Millions a second, the operations of each, and their share of what a core does at most."""
+    title = f"flatland_speed; a core's roof: {float(data.roof) / 1e9:.0f} 10^9 operations/s"
+    result = Table("scene", "integrator", "10^6/s", "operations", "of the roof", title=title, box=SIMPLE)
+    for (row, column), share in np.ndenumerate(_share(data)):
+        rate, work = float(data.rate[row, column]) / 1e6, float(data.operations[row, column])
+        names = str(data.scene.to_numpy()[row]), str(data.integrator.to_numpy()[column])
+        result.add_row(*names, f"{rate:.2f}", f"{work:.0f}", f"{share:.0%}")
     return result
 
 
