@@ -187,7 +187,7 @@ class PooledDeposit(OfMove[Move]):
         proposal = self.move.propose(target, state, w[:-1])
         made = own.contributions(proposal.state.u)
         # All techniques' work, which is most of a step's: done once for the density and for the deposits.
-        known = eqx.tree_at(lambda t: t.target, target, _Known(own.domain, own.value(proposal.state.u, made[1])))
+        known = eqx.tree_at(lambda t: t.target, target, _Known(own.value(proposal.state.u, made[1])))
         proposal = eqx.tree_at(
             lambda p: p.state, proposal, known.evaluate(State(proposal.state.index, proposal.state.u))
         )
@@ -200,21 +200,13 @@ class PooledDeposit(OfMove[Move]):
         return Step(step.state, Deposits(x, index, weight), step.info)
 
 
-class _Known(Target):
+class _Known(eqx.Module):
     """What `Pooled` is at the one point where its value has been found."""
 
-    corners: Corners
     value: Scalar
-
-    @property
-    def domain(self) -> Corners:
-        return self.corners
 
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         return self.value
-
-    def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
-        raise NotImplementedError("Pooled: one value of it has no masses")
 
 
 def _pooled(target: Multiplexed) -> Pooled:
