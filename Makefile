@@ -1,21 +1,24 @@
-# The whole house in five words: reproduce, test, check, lock, clean. Everything happens in .venv, built from the lock file.
+# The whole house in six words: reproduce, test, test-slow, check, lock, clean. Everything happens in .venv, built from the lock file.
 PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 JOBS ?= auto
 
-.PHONY: help reproduce test check lock clean
+.PHONY: help reproduce test test-slow check lock clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
-	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 14
+	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 14
 
 reproduce: $(STAMP)  ## write every figure and its data into figures/ (quick profile)
 	$(RUN) -m experiments run --all --jobs $$(nproc)
 
-test: $(STAMP)  ## run the tests, in parallel
-	$(RUN) -m pytest -n $(JOBS) --dist worksteal
+test: $(STAMP)  ## run the tests but the slow ones, in parallel
+	$(RUN) -m pytest -n $(JOBS) --dist worksteal -m "not slow"
+
+test-slow: $(STAMP)  ## run the slow ones: kernels run to their laws, images, whole documents, kills
+	$(RUN) -m pytest -n $(JOBS) --dist worksteal -m slow
 
 check: $(STAMP)  ## style, types, and the floors
 	$(VENV)/bin/ruff check .

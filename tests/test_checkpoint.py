@@ -278,6 +278,7 @@ os.waitpid(start(path, cores), 0)
 """
 
 
+@pytest.mark.slow
 def test_killed_again_and_again_it_ends_with_the_same_bits(tmp_path):
     """`MCMC1D_KILLS=20` for more of them."""
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".cache" / "jax"), "PYTHONPATH": str(ROOT)}

@@ -30,6 +30,7 @@ def module(tmp_path, name, text):
     return made
 
 
+@pytest.mark.slow
 def test_readme_examples_run_and_pass(capsys):
     names = {}
     for block in blocks("README.md"):

@@ -16,6 +16,8 @@ from mcmc1d.lazy import LazySampler
 from mcmc1d.verify import verify
 from mcmc1d.verify.goodness import p_value
 
+pytestmark = pytest.mark.slow
+
 LAW = product_law()
 SIZE: dict[str, Any] = {"sigma": 0.1, "large_step": 0.1}
 

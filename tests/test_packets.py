@@ -13,6 +13,8 @@ from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Tent, Uniform
 from mcmc1d.verify import RingStep, deposit_law, enumerate_kernel, ring, verify
 
+pytestmark = pytest.mark.slow
+
 TARGET, STATES = ring([1, 3, 0.5, 2, 4.0])
 STEP = RingStep(5, {1: 0.5, -1: 0.25, 2: 0.25})
 """Lopsided, and one of its offsets never comes back: the step of 2 is proposed and never accepted."""

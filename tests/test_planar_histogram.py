@@ -15,6 +15,8 @@ from mcmc1d.techniques import ConcentricDisk, MarginalConditional, PolarDisk, Te
 from mcmc1d.verify import verify
 from mcmc1d.verify.mutants.jumps import no_jacobian
 
+pytestmark = pytest.mark.slow
+
 TABLE = MarginalConditional([[1, 2, 0.5, 1], [3, 1, 1, 0.2], [1, 0.3, 2, 1]])
 LEANING = Triangle([[0.1, 0.2], [0.9, 0.1], [0.3, 0.95]])
 DISK = ConcentricDisk((0.5, 0.5), 0.45)

@@ -17,6 +17,8 @@ from mcmc1d.techniques import Tent, Uniform
 from mcmc1d.verify import RingStep, enumerate_kernel, ring, verify
 from mcmc1d.verify.mutants.jumps import WrongDeterminant
 
+pytestmark = pytest.mark.slow
+
 TARGET, STATES = ring([1, 3, 0.5, 2, 4.0])
 STEP = RingStep(5, {1: 0.75, -1: 0.25})
 FAR = RingStep(5, {1: 0.25, 2: 0.5, -2: 0.25})

@@ -74,6 +74,7 @@ def cluster(tmp_path):
             process.communicate()
 
 
+@pytest.mark.slow
 def test_a_worker_killed_half_way_changes_nothing(cluster, tmp_path):
     address, workers, traces = cluster
     sweep = start("-c", SCRIPT, tmp_path / ".squares.journal", address, traces)

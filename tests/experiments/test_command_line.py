@@ -46,6 +46,7 @@ def tiny(tmp_path_factory):
     return folders, [experiments("run", "calibration", "--seed", 3, "--out", folder, *TINY) for folder in folders]
 
 
+@pytest.mark.slow
 def test_a_verdict_that_theory_does_not_predict_exits_with_1(tiny):
     _, runs = tiny
     assert runs[0].returncode == 1, runs[0].stderr

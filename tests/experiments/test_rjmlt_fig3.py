@@ -6,6 +6,8 @@ import pytest
 from experiments import rjmlt_fig3
 from experiments.support.sweep import Sweep
 
+pytestmark = pytest.mark.slow
+
 SMALL = rjmlt_fig3.Config(
     bins=20,
     replicas=2**14,

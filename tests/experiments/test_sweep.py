@@ -75,6 +75,7 @@ def test_two_processes_give_what_one_gives():
     assert seen[-1] == ("squares", 9, 9)
 
 
+@pytest.mark.slow
 def test_a_run_killed_again_and_again_ends_with_the_same_results(tmp_path):
     path = tmp_path / ".squares.journal"
     kills, dice = 0, random.Random(5)

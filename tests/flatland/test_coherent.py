@@ -13,6 +13,8 @@ from mcmc1d.flatland import Material, Pinhole, Scene, Segment
 from mcmc1d.flatland.integrators import CoherentMLT, Image
 from mcmc1d.flatland.integrators.compare import compare
 
+pytestmark = pytest.mark.slow
+
 ALARM = 1e-5
 PANELS = np.array([1.0, 4.0, 2.0, 8.0])
 TRIES, SIGMA = 8, 0.1

@@ -5,11 +5,14 @@ False-alarm rate 1e-5 for each image, over its pixels; what it would have caught
 
 import jax
 import numpy as np
+import pytest
 
 from mcmc1d.flatland.integrators import Image, ReplicaExchange, Stacked
 from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
+
+pytestmark = pytest.mark.slow
 
 
 def test_each_class_adds_its_part_to_every_pixel_of_the_box():

@@ -14,6 +14,8 @@ from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
 
+pytestmark = pytest.mark.slow
+
 ALARM = 1e-5
 
 

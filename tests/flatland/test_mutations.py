@@ -31,6 +31,8 @@ from mcmc1d.moves import Mixture
 from mcmc1d.state import State
 from mcmc1d.verify.compare import log_abs_det, quickly
 
+pytestmark = pytest.mark.slow
+
 N = 1024
 STENCIL = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
 """The derivative from six points; its error is of the sixth order in the step."""

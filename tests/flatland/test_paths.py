@@ -30,6 +30,8 @@ from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import polygon, scene
 from mcmc1d.verify import check_technique
 
+pytestmark = pytest.mark.slow
+
 CORNERS = [(0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (1.5, 1.2), (1.5, 2.0), (0.0, 2.0)]
 MIXED = [
     Material(emission=1, lambert=0.4, mirror=0.3),

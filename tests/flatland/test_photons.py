@@ -16,6 +16,8 @@ from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
 
+pytestmark = pytest.mark.slow
+
 ALARM = 1e-5
 RADIUS, FLOOR, MIRROR = 0.3, 0.8, 0.9
 

@@ -16,6 +16,8 @@ from mcmc1d.flatland.integrators.exposure import exact_starts, highest_seen
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
 
+pytestmark = pytest.mark.slow
+
 ALARM = 1e-4
 BOX = scene("box").with_pixels(4)
 SETTINGS = {"linear": 2, "floor": 0.25, "spent_on_b": 2.0, "chains": 4096, "test_regions": 1.0}

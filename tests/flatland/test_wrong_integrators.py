@@ -13,6 +13,8 @@ from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.mutants import LAYERS, mutants
 from mcmc1d.flatland.reference import image
 
+pytestmark = pytest.mark.slow
+
 KNOWN = mutants()
 _EXACT, _RIGHT = {}, {}
 

@@ -85,6 +85,7 @@ def test_a_kernel_that_is_not_what_it_is_declared_fails():
     assert {failure.layer for failure in report.failures} == {"exchangeability"}
 
 
+@pytest.mark.slow
 def test_a_slow_kernel_is_inconclusive():
     report = verify.verify(walk(NORMAL, 0.003), NORMAL, **SMALL)
     assert report.verdict is Verdict.INCONCLUSIVE

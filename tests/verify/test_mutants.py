@@ -27,6 +27,7 @@ def test_mutant_is_caught_by_the_equation_it_breaks(name):
     assert any(mutant.caught_by in equation for equation in caught), f"{mutant.mistake}: caught by {caught}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KERNELS)
 def test_mutant_is_caught_by_the_layer_that_must(name):
     mutant = ALL[name]
@@ -36,6 +37,7 @@ def test_mutant_is_caught_by_the_layer_that_must(name):
     assert mutant.layer in layers, f"{mutant.mistake}: caught by {layers}\n{report}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SLOWED)
 def test_mutant_that_keeps_the_law_moves_differently(name):
     mutant = ALL[name]
@@ -43,6 +45,7 @@ def test_mutant_that_keeps_the_law_moves_differently(name):
     assert efficiency(mutant.right, mutant.right, mutant.law).alike
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", traps())
 def test_right_kernel_that_looks_wrong_passes(name):
     trap = traps()[name]
