@@ -57,6 +57,7 @@ def mixture(seldom=()):
     return Mixture(moves, seldom=seldom)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seldom", [("jump",), ("large", "small", "jump", "aimed")])
 def test_a_mixtures_chains_are_the_same_whatever_is_seldom(seldom):
     target = hard_target()
@@ -68,6 +69,7 @@ def test_a_mixtures_chains_are_the_same_whatever_is_seldom(seldom):
     np.testing.assert_allclose(ran[0].u, ran[1].u, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_mixture_with_seldom_moves_keeps_the_contract():
     moves = {"small": (0.6, SmallStep(0.1)), "jump": (0.4, ReversibleJump())}
     assert check_move(Mixture(moves, seldom=("jump",)))

@@ -14,12 +14,23 @@ MOVES = examples("mcmc1d.moves")
 TARGETS = {name: t for name, t in examples("mcmc1d.targets").items() if np.ndim(t.domain[0]) == 0}
 
 
-@pytest.mark.parametrize("name", TECHNIQUES)
+OF_MANY_PARTS = ("multiple_try_", "mixture_nested", "product_with_mixture", "compose_after_mixture", "planar_mixture")
+"""Beside a simpler one of their kind, and slow to differentiate."""
+
+
+def all_of(names):
+    return [
+        pytest.param(name, marks=pytest.mark.slow) if any(part in name for part in OF_MANY_PARTS) else name
+        for name in names
+    ]
+
+
+@pytest.mark.parametrize("name", all_of(TECHNIQUES))
 def test_technique_keeps_its_contract(name):
     check_technique(TECHNIQUES[name]).raise_if_failed()
 
 
-@pytest.mark.parametrize("name", MOVES)
+@pytest.mark.parametrize("name", all_of(MOVES))
 def test_move_keeps_its_contract(name):
     check_move(MOVES[name]).raise_if_failed()
 

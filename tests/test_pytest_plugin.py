@@ -186,6 +186,7 @@ def test_a_certificate_for_each_verification(alone, project):
     assert spent <= 1e-4
 
 
+@pytest.mark.slow
 def test_workers_of_xdist_say_the_same(alone, spread, project):
     assert summary(spread) == summary(alone)
     names = [sorted(path.name for path in (project / folder).iterdir()) for folder in ("alone", "spread")]

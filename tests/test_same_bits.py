@@ -33,6 +33,7 @@ def found():
     return [run.stdout.split() for run in runs]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(3), ids=["run", "trace", "operator"])
 def test_the_same_seed_gives_the_same_bits(part, found):
     first, second = found

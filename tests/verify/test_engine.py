@@ -92,6 +92,7 @@ def test_a_slow_kernel_is_inconclusive():
     assert "not forgotten a bad start" in str(report)
 
 
+@pytest.mark.slow
 def test_a_power_out_of_reach_is_inconclusive():
     """A host kernel that takes 2 ms a call can not draw enough in the time given."""
     import time
