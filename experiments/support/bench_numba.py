@@ -1,4 +1,4 @@
-"""The 1D multiplexed step by Numba: a loop over chains in float32, compiled by LLVM. Numba need not be installed."""
+"""The 1D multiplexed step by Numba: a loop over chains in float32, compiled by LLVM."""
 
 import importlib
 import time
