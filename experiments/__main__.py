@@ -200,7 +200,7 @@ def bench(
 
 def _print_claims(found: list[framework.Claim]) -> None:
     for c in found:
-        colour = "green" if c.as_expected else "red"
+        colour = "yellow" if c.verdict == "open" else "green" if c.as_expected else "red"
         console.print(
             f"[{colour}]{c.verdict:>6}[/]  [bold]{c.id}[/]: {c.statement} [dim]({c.source})[/]", highlight=False
         )
