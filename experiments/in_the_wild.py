@@ -26,7 +26,7 @@ from mcmc1d.verify.report import versions
 class Config:
     """The experiment's numbers."""
 
-    seconds: float = 10.0
+    seconds: float = 5.0
     """What a first stage may take: the gap that it buys is part of the result."""
 
 

@@ -1,6 +1,7 @@
 """Bitterli et al. 2017, section 7.1 and figure 3: five integrators on the line, two of them wrong."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -120,6 +121,11 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
     # One law for all: a wrong inverse changes neither f nor the densities.
     exact = _target(config, _MIXTURE).joint_masses(edges)
 
+    # Blocks of one size and the same estimators, read or not: one program serves all three runs.
+    common: dict[str, Any] = {
+        "estimators": {"joint": mcmc1d.Histogram(config.bins, joint=True), "acceptance": mcmc1d.Acceptance()}
+    }
+
     # Independent chains, exact starts: a p-value without burn-in and without autocorrelation.
     replicas = long_run(
         f"{name}: replicas",
@@ -128,7 +134,8 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
         target,
         steps=config.replica_steps,
         chains=config.replicas,
-        blocks=config.blocks,
+        blocks=math.gcd(config.replicas, config.replicas * config.blocks // config.chains),
+        **common,
     )
     x = jax.vmap(target.evaluate)(replicas.state).seen.x
     bins = np.clip(np.searchsorted(edges, np.asarray(x), side="right") - 1, 0, config.bins - 1)
@@ -139,10 +146,8 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
     start = jax.tree.map(lambda leaf: leaf[: config.chains], replicas.state)
     if not RIGHT[name] and config.burn > 0:
         fresh = jax.random.fold_in(second, 1)
-        start = long_run(
-            f"{name}: burn-in", fresh, move, target, steps=config.burn, chains=config.chains, start=start
-        ).state
-    estimators = {"joint": mcmc1d.Histogram(config.bins, joint=True), "acceptance": mcmc1d.Acceptance()}
+        size: dict[str, Any] = {"steps": config.burn, "chains": config.chains, "blocks": config.blocks}
+        start = long_run(f"{name}: burn-in", fresh, move, target, start=start, **size, **common).state
     long = long_run(
         f"{name}: histograms",
         second,
@@ -151,8 +156,8 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
         steps=config.steps,
         chains=config.chains,
         blocks=config.blocks,
-        estimators=estimators,
         start=start,
+        **common,
     )
     joint = long.mean("joint")
     per_block = long.sums["joint"].sum(1) * config.blocks / (config.chains * config.steps)

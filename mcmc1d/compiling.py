@@ -43,18 +43,21 @@ class _Wide:
         self._known: set[Any] = set()
 
     def __call__(self, *args: Any) -> Any:
+        return self._either(lambda compiled: compiled(*args), args)
+
+    def lower(self, *args: Any) -> Any:
+        """Traced and lowered, as JAX has it; what was called before is not traced again."""
+        return self._either(lambda compiled: compiled.lower(*args), args)
+
+    def _either(self, use: Callable[[Any], Any], args: tuple[Any, ...]) -> Any:
         leaves, tree = jax.tree.flatten(eqx.filter(args, eqx.is_array, inverse=True))
         key = tuple(leaves), tree
         if key not in self._known:
             try:
-                return self._wide(*args)
+                return use(self._wide)
             except _WidthError:
                 self._known.add(key)
-        return self._narrow(*args)
-
-    def lower(self, *args: Any) -> Any:
-        """Traced and lowered, as JAX has it."""
-        return self._narrow.lower(*args)
+        return use(self._narrow)
 
 
 class _WidthError(Exception):

@@ -46,12 +46,18 @@ def add_deposits(
     # an equidistributed number of the chain's, so that the expectation is exact; where one deposit of a chain goes up,
     # its next goes down: weights that sum to one still do.
     scale = 1.0 if exact else 2.0 ** (30 - max(deposits.weight.size - 1, 1).bit_length())
-    step = jnp.zeros(sums.shape, sums.dtype if exact else jnp.int32)
     up = weyl(deposits.weight.shape[-1])
-    for k, (x, index, weight) in enumerate(zip(deposits.x, deposits.index, deposits.weight, strict=True)):
-        where = (index, place(x)) if joint else (place(x),)
-        whole = weight if exact else jnp.floor(weight * scale + (1 - up if k % 2 else up))
-        step = step.at[where].add(whole.astype(step.dtype), mode="promise_in_bounds")
+
+    def add(step: Array, one: tuple[Deposits, Scalar]) -> tuple[Array, None]:
+        deposit, odd = one
+        where = (deposit.index, place(deposit.x)) if joint else (place(deposit.x),)
+        whole = deposit.weight if exact else jnp.floor(deposit.weight * scale + jnp.where(odd, 1 - up, up))
+        return step.at[where].add(whole.astype(step.dtype), mode="promise_in_bounds"), None
+
+    odd = np.arange(len(deposits.weight)) % 2 == 1
+    step = jnp.zeros(sums.shape, sums.dtype if exact else jnp.int32)
+    # Of two states or a few candidates no loop is left, of hundreds a short one: compiling must not grow with them.
+    step, _ = jax.lax.scan(add, step, (deposits, odd), unroll=8)
     return sums + step.astype(sums.dtype) / scale
 
 
