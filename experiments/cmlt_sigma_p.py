@@ -15,6 +15,7 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import verdict
 from mcmc1d.estimators import Estimator
@@ -130,14 +131,16 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     key = jax.random.key(seed)
     for i, j in np.ndindex(error.shape):
         kernel = Metropolis(MultipleTry(SmallStep(SIZES[j]), TRIES[i], candidates=Stratified()))
-        error[i, j], spread[i, j] = _error(config, kernel, PEAK, 2 * TRIES[i] - 1, jax.random.fold_in(key, 100 * i + j))
+        name, own = f"p {TRIES[i]}, sigma {SIZES[j]:g}", jax.random.fold_in(key, 100 * i + j)
+        error[i, j], spread[i, j] = _error(name, config, kernel, PEAK, 2 * TRIES[i] - 1, own)
         progress("sigma and p", i * len(SIZES) + j + 1, error.size)
     length, length_spread = (np.zeros((2, len(LENGTHS))) for _ in range(2))
     for j, i in np.ndindex(len(LENGTHS), 2):
         inner = MultipleTry(SmallStep((config.sigma, config.wide)[i]), config.tries, candidates=Stratified())
         kernel = SubChain(LargeStep(), inner, LENGTHS[j])
         work, own = 1 + LENGTHS[j] * (2 * config.tries - 1), jax.random.fold_in(key, 1000 + 100 * i + j)
-        length[i, j], length_spread[i, j] = _error(config, kernel, MODES, work, own)
+        name = f"length {LENGTHS[j]}, sub-chain {i}"
+        length[i, j], length_spread[i, j] = _error(name, config, kernel, MODES, work, own)
         progress("length", 2 * j + i + 1, length.size)
     return xr.Dataset(
         {
@@ -173,7 +176,7 @@ class ChainHistograms(Estimator):
 
 
 def _error(
-    config: Config, kernel: Kernel, target: mcmc1d.Multiplexed, evaluations: int, key: jax.Array
+    name: str, config: Config, kernel: Kernel, target: mcmc1d.Multiplexed, evaluations: int, key: jax.Array
 ) -> tuple[float, float]:
     """The root mean square error of one chain's histogram over that of independent samples, and its standard error."""
     masses = target.target.bin_masses(np.linspace(0, 1, config.bins + 1))
@@ -181,7 +184,7 @@ def _error(
     steps = config.work // evaluations
     estimators = {"x": ChainHistograms(config.chains, config.bins)}
     size: dict[str, Any] = {"steps": steps, "chains": config.chains, "blocks": 1}
-    sums = mcmc1d.run(key, kernel, target, **size, estimators=estimators).sums["x"][0]
+    sums = long_run(name, key, kernel, target, **size, estimators=estimators).sums["x"][0]
     square = ((sums / steps - exact) ** 2).sum(1) * (steps * evaluations) / (1 - (exact**2).sum())
     error = float(np.sqrt(square.mean()))
     return error, float(square.std(ddof=1) / np.sqrt(len(square)) / (2 * error))

@@ -161,7 +161,7 @@ def held(
     return {
         "excess": float(result.excess.max()),
         "detectable": float(result.detectable[-1].max()),
-        "twin": float(not compare(off, *exact, level).agrees),
+        "twin": float(compare(off, *exact, level).differs),
         "blind": 0.0,
         "rays": float(found.rays),
         "samples": float(samples),

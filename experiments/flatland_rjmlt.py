@@ -154,7 +154,7 @@ def converge(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[s
         walked = 1 - config.jump if method.startswith("RJMLT") else 1.0
         checkpoints = np.round(steps / walked).astype(int).tolist()
         own = jax.random.fold_in(key, k)
-        ran = films(own, mixed_kernel(config.sigma, *mix), target, paths, config.runs, checkpoints, {})
+        ran = films(method, own, mixed_kernel(config.sigma, *mix), target, paths, config.runs, checkpoints, {})
         # b as the reference has it, as in the paper (section 7.2).
         residual.append(config.pixels * reference.mean() * ran.films - reference)
     return {"residual": np.stack(residual).tolist(), "mean": float(reference.mean())}

@@ -97,7 +97,7 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> list[li
     target = BidirectionalPathTracing().target(paths)
     kernel = multiplexed_kernel(config.sigma, config.large, close(target.n_techniques, config.sigma))
     own = jax.random.fold_in(key, len(rows))
-    ran = films(own, kernel, target, paths, config.runs, [config.mutations], {METHODS[0]: Lit(config.runs)})
+    ran = films("chains", own, kernel, target, paths, config.runs, [config.mutations], {METHODS[0]: Lit(config.runs)})
     each = 1 - ran.sums[METHODS[0]] / config.mutations
     return [*rows, [float(each.mean()), float(each.std(ddof=1) / np.sqrt(config.runs))]]
 

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,6 +20,7 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
 from mcmc1d import verify
 from mcmc1d.moves import AimedJump, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
@@ -124,7 +126,8 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
 
     def histogram(k: int) -> tuple[np.ndarray, np.ndarray, float]:
         name, move = CASES[k]
-        result = mcmc1d.run(
+        result = long_run(
+            f"histogram {k}",
             jax.random.fold_in(jax.random.key(seed), k),
             kernels[move],
             targets[name],
@@ -183,7 +186,8 @@ def both_cores(work: Callable[[Any], Any], items: Iterable, progress: Callable[[
         return result
 
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(one, todo))
+        # Each in the context of here, where long runs learn where they are kept.
+        return [part.result() for part in [pool.submit(copy_context().run, one, item) for item in todo]]
 
 
 def _contract(config: Config, technique: Technique) -> tuple[bool, float, float]:

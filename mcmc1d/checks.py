@@ -65,3 +65,14 @@ def rising(edges: np.ndarray, who: str) -> np.ndarray:
         edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)), f"{who}: the edges must rise: {edges}"
     )
     return edges
+
+
+def require_cover(who: str, edges: np.ndarray, domain: tuple[Any, Any], name: str) -> None:
+    """Raise `ValueError` unless bins cover the interval `domain` of what is called `name`."""
+    first, last, (lower, upper) = float(edges[0]), float(edges[-1]), (float(end) for end in domain)
+    # A domain, or an edge, that was given in float64 may round across the other in float32.
+    slack = 1e-6 * (upper - lower)
+    require(
+        first <= lower + slack and upper - slack <= last,
+        f"{who}: the bins [{first}, {last}] do not cover the domain [{lower}, {upper}] of {name}; extend the edges",
+    )

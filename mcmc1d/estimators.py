@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.checks import require_cover
 from mcmc1d.metropolis import Deposits, Kernel, Step
 from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
@@ -19,7 +20,8 @@ from mcmc1d.types import Array, Float, Scalar
 class Estimator(eqx.Module):
     """Sums over the steps of many chains.
 
-    `update` is handed the steps of all chains of a block at once (each leaf with a leading axis of chains) and adds
+    `update` is handed the steps of all chains of a block at once (the chains are the last axis of each leaf, so that
+    deposits have x of shape (n, ..., chains) and weights of shape (n, chains)) and adds
     them to the accumulator, a pytree of sums that starts at zero. The runner drains it into float64 on the host
     before a float32 sum can lose anything, and calls `update` with zeros, compensating what it adds up itself.
     """
@@ -41,14 +43,15 @@ def add_deposits(
     `place` is the bin of the x of every chain: (chains,) integers within bounds.
     """
     exact = sums.dtype == jnp.float64
-    # A float32 bin with thousands of deposits would round each, and alike: a step's deposits (of weight 1 at most) are
-    # added up as whole numbers of 1 / scale, as large as 31 bits hold. What lies between two of them goes up or down by
+    # A float32 bin with thousands of deposits would round each, and alike: a step's deposits are added up as whole
+    # numbers of 1 / scale, as large as 31 bits hold (NaN stays NaN). What lies between two of them goes up or down by
     # an equidistributed number of the chain's, so that the expectation is exact; where one deposit of a chain goes up,
     # its next goes down: weights that sum to one still do.
-    scale = 1.0 if exact else 2.0 ** (30 - max(deposits.weight.size - 1, 1).bit_length())
+    total = jnp.abs(deposits.weight).sum()
+    scale = 1.0 if exact else jnp.where(jnp.isfinite(total), jnp.exp2(30.0 - jnp.frexp(total)[1]), jnp.nan)
     up = weyl(deposits.weight.shape[-1])
 
-    def add(step: Array, one: tuple[Deposits, Scalar]) -> tuple[Array, None]:
+    def add(step: Array, one: tuple[Deposits, Array]) -> tuple[Array, None]:
         deposit, odd = one
         where = (deposit.index, place(deposit.x)) if joint else (place(deposit.x),)
         whole = deposit.weight if exact else jnp.floor(deposit.weight * scale + jnp.where(odd, 1 - up, up))
@@ -98,12 +101,7 @@ class Histogram(Estimator):
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "..."]:
         lower, upper = target.target.domain
         require(np.ndim(lower) == 0, "Histogram: x must be a scalar")
-        first, last = float(self.edges[0]), float(self.edges[-1])
-        require(
-            first <= lower and upper <= last,
-            f"Histogram: the bins [{first}, {last}] do not cover the domain [{lower}, {upper}] of "
-            f"{type(target.target).__name__}; extend the edges",
-        )
+        require_cover("Histogram", self.edges, (lower, upper), type(target.target).__name__)
         bins = self.edges.shape[0] - 1
         return jnp.zeros((target.n_techniques, bins) if self.joint else bins, dtype)
 
@@ -140,21 +138,25 @@ class Acceptance(Estimator):
 
 
 class Expectation(Estimator):
-    """The weighted sum of a function of x over the deposits; divided by the steps, its expectation under f / b."""
+    """The weighted sum of a function of x over the deposits; divided by the steps, its expectation under f / b.
+
+    The function returns a number, an array, or a tree of them, and so are the sums.
+    """
 
     function: Any
 
-    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "..."]:
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Any:
         x = jnp.broadcast_to(jnp.asarray(target.target.domain[0], dtype), np.shape(target.target.domain[0]))
         return jax.tree.map(lambda y: jnp.zeros(y.shape, dtype), eqx.filter_eval_shape(self.function, x))
 
-    def update(self, sums: Float[Array, "..."], steps: Step) -> Float[Array, "..."]:
-        def one(x: Float[Array, "..."], weight: Scalar) -> Float[Array, "..."]:
-            return self.function(x) * weight
+    def update(self, sums: Any, steps: Step) -> Any:
+        def one(x: Float[Array, "..."], weight: Scalar) -> Any:
+            return jax.tree.map(lambda y: y * weight, self.function(x))
 
         deposits = steps.deposits
         # The chains are the last axis of x, after its own.
-        return sums + jax.vmap(jax.vmap(one, in_axes=-1))(deposits.x, deposits.weight).sum((0, 1))
+        found = jax.vmap(jax.vmap(one, in_axes=-1))(deposits.x, deposits.weight)
+        return jax.tree.map(lambda total, new: total + new.sum((0, 1)), sums, found)
 
 
 EXAMPLES = {

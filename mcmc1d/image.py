@@ -49,8 +49,9 @@ class Image(Estimator):
 
     def update(self, sums: Float[Array, "n 5"], steps: Step) -> Float[Array, "n 5"]:
         deposits = steps.deposits
-        rows = jax.vmap(jax.vmap(self.row))(deposits.x, deposits.weight)
-        cells = jax.vmap(jax.vmap(self.pixels.cell))(deposits.x)
+        # The chains are the last axis of x, after its own.
+        rows = jax.vmap(jax.vmap(self.row, in_axes=-1))(deposits.x, deposits.weight)
+        cells = jax.vmap(jax.vmap(self.pixels.cell, in_axes=-1))(deposits.x)
         return sums.at[jnp.ravel(cells)].add(rows.reshape(-1, 5))
 
     def row(self, x: Float[Array, "..."], weight: Scalar) -> Float[Array, " 5"]:

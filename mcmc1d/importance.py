@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from mcmc1d.checks import require_instance
 from mcmc1d.numerics import cast, is_concrete, parameter, require, require_positive
 from mcmc1d.pixels import Pixels, masses
-from mcmc1d.quadrature import integrate, midpoints
+from mcmc1d.quadrature import Outline, integrate, midpoints
 from mcmc1d.targets import DensityOf, Target
+from mcmc1d.targets.base import Edges
 from mcmc1d.types import Array, Corners, Float, Index, Real, Scalar
 
 
@@ -45,10 +46,14 @@ class Product(Target):
     def breaks(self) -> tuple[float, ...]:
         return tuple(sorted({point for factor in self.factors for point in factor.breaks}))
 
+    @property
+    def outline(self) -> Outline:
+        return Outline.together([factor.outline for factor in self.factors])
+
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         return sum((factor.log_f(x) for factor in self.factors[1:]), start=self.factors[0].log_f(x))
 
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+    def bin_masses(self, edges: Edges) -> np.ndarray:
         return self.quadrature(edges)
 
     def complaint(self, x: ArrayLike) -> str:
@@ -65,7 +70,11 @@ class OverBase(Target):
     def domain(self) -> Corners:
         return self.base.domain
 
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+    @property
+    def outline(self) -> Outline:
+        return self.base.outline
+
+    def bin_masses(self, edges: Edges) -> np.ndarray:
         return self.quadrature(edges)
 
     def complaint(self, x: ArrayLike) -> str:
@@ -159,16 +168,23 @@ class Regions(Target):
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        if self.values.ndim + self.hidden > 1:
-            return ()
-        return tuple((np.arange(1, int(self.regions)) / int(self.regions)).tolist())
+        return () if self.values.ndim + self.hidden > 1 else tuple(self._lines().tolist())
+
+    @property
+    def outline(self) -> Outline:
+        lines = self._lines() if self.values.ndim + self.hidden == 2 else np.zeros(0)
+        return Outline.lines(lines, lines if self.values.ndim == 2 else np.zeros(0))
+
+    def _lines(self) -> np.ndarray:
+        """The inner ends of the regions along an axis."""
+        return np.arange(1, int(self.regions)) / int(self.regions)
 
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         cell = Pixels(self.values.shape[0], self.values.ndim).cell(x, self.regions)
         value = jnp.asarray(self.values).reshape(-1)[cell]
         return jnp.where(jnp.all((x >= 0) & (x <= 1)), jnp.log(value), -jnp.inf)
 
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+    def bin_masses(self, edges: Edges) -> np.ndarray:
         return self.quadrature(edges)
 
 
@@ -192,10 +208,14 @@ class _Lost(Target):
     def breaks(self) -> tuple[float, ...]:
         return tuple(sorted({*self.f.breaks, *self.importance.breaks}))
 
+    @property
+    def outline(self) -> Outline:
+        return Outline.together([self.f.outline, self.importance.outline])
+
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         return jnp.where(jnp.isneginf(self.importance.log_f(x)), self.f.log_f(x), -jnp.inf)
 
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+    def bin_masses(self, edges: Edges) -> np.ndarray:
         return self.quadrature(edges)
 
 

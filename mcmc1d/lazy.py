@@ -211,6 +211,7 @@ def step(
 ) -> tuple[LazyChain, LazyInfo]:
     """One Metropolis iteration; both kinds of step are symmetric, so the ratio is that of f."""
     log_f, sample, proposed = contribution(sampler, sampler.start_iteration(chain.samples, w[:-1]))
+    log_f = jnp.where(jnp.isnan(log_f), jnp.inf, log_f)  # no law is defined: the chain stays there, to be found
     a = acceptance(_state(chain.samples, chain.log_f), Proposal(_state(proposed, log_f), proposed.value, 0 * log_f))
     accepted = w[-1] < a
 

@@ -155,6 +155,19 @@ class Cycle(Kernel):
         for kernel in self.kernels:
             kernel.check(target)
 
+    def deposited(self, target: Multiplexed) -> Deposited | None:
+        """What they all deposit; raises `ValueError` where that is not one thing."""
+        each = [kernel.deposited(target) for kernel in self.kernels]
+        known = [one for one in each if one is not None]
+        if not known:
+            return None
+        first = known[0]
+        require(
+            len(known) == len(each) and all(eqx.tree_equal(one[:2], first[:2]) for one in known),
+            "Cycle: its kernels deposit samples of different things, whose mean has no law to be held to",
+        )
+        return first._replace(most=max(one.most for one in known))
+
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         deposits, infos, kinds = [], [], 0
         for kernel in self.kernels:

@@ -81,6 +81,10 @@ class AuxiliaryCentre(Kernel):
         )
         own = jnp.where(reached, state.seen.log_c - centre.log_det, 0)  # without a centre all stays as it is
         log_weights = jnp.concatenate([own[None], log_weights])
+        # Where the target is NaN the chain goes, and is found; a dark state among dark ones stays.
+        lost = jnp.isposinf(log_weights)
+        log_weights = jnp.where(lost.any(), jnp.where(lost, 0, -jnp.inf), log_weights)
+        log_weights = log_weights.at[0].set(jnp.where(jnp.isneginf(log_weights).all(), 0, log_weights[0]))
         shares = jax.nn.softmax(log_weights)
         states = jax.tree.map(lambda one, more: insert(more, one, jnp.zeros((), jnp.int32)), state, family.state)
         first, last = jnp.zeros(1, shares.dtype), jnp.ones(1, shares.dtype)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import rising
+from mcmc1d.checks import require_cover, rising
 from mcmc1d.estimators import Estimator, add_deposits
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import require
@@ -85,14 +85,7 @@ def _require_cover(who: str, target: Multiplexed, x_edges: np.ndarray, y_edges: 
     name = type(target.target).__name__
     require(lower.shape == (2,), f"{who}: x must be a point of the plane; {name} has x of shape {lower.shape}")
     for k, edges in enumerate((x_edges, y_edges)):
-        first, last = float(edges[0]), float(edges[-1])
-        # A domain in float32 may round across an edge that was given in float64.
-        slack = 1e-6 * (upper[k] - lower[k])
-        require(
-            first <= lower[k] + slack and upper[k] - slack <= last,
-            f"{who}: the cells [{first}, {last}] do not cover the domain [{lower[k]}, {upper[k]}] of {name} along "
-            f"x[{k}]; extend the edges",
-        )
+        require_cover(f"{who}, along x[{k}]", edges, (lower[k], upper[k]), name)
 
 
 EXAMPLES = {

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -126,6 +127,17 @@ class Outline(NamedTuple):
     """(n,) y -> (n, c) x of the curves: where they cross a bin's edge, the bin's mass bends as a function of x."""
 
     @staticmethod
+    def together(outlines: Sequence["Outline"]) -> "Outline":
+        """All of several."""
+        parts = tuple(outlines)
+
+        def along(which: str, t: np.ndarray) -> np.ndarray:
+            return np.concatenate([_nowhere(t), *(getattr(part, which)(t) for part in parts)], axis=1)
+
+        x = np.concatenate([np.zeros(0), *(part.x for part in parts)])
+        return Outline(x, partial(along, "y_at"), partial(along, "x_at"))
+
+    @staticmethod
     def lines(x: np.ndarray, y: np.ndarray) -> "Outline":
         """Vertical and horizontal lines."""
         y = np.asarray(y, np.float64)
@@ -202,7 +214,7 @@ def integrate_plane(
             if along <= tolerance * scale / 2:
                 break
         else:
-            a = b = a[:0]  # hopeless, and said so below
+            a, b, along = a[:0], b[:0], np.inf  # hopeless, and said so below
         total = np.zeros((len(x_edges) - 1, *coarse.shape[1:]))
         # The check is of fewer nodes than what is used, whose own error is far smaller still.
         error, budget = along, tolerance * scale / (16 * len(cuts))

@@ -136,12 +136,11 @@ def _walk(
         def body(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
             state, sums, accepted = carry
             w = uniforms(key, k, (kernel.dim_w(target), weight.shape[0]), jnp.float32)
-            step = jax.vmap(partial(kernel.step, target), in_axes=(0, -1))(state, w)
-            deposits = step.deposits
-            step = eqx.tree_at(lambda s: s.deposits.weight, step, deposits.weight * weight[:, None])
-            return step.state, estimator.update(sums, step), accepted + (step.info.acceptance[:, 0] * weight).sum()
+            step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
+            step = eqx.tree_at(lambda s: s.deposits.weight, step, step.deposits.weight * weight[None])
+            return step.state, estimator.update(sums, step), accepted + (step.info.acceptance[0] * weight).sum()
 
-        begun = jax.vmap(target.evaluate)(state)
+        begun = jax.vmap(target.evaluate, out_axes=-1)(state)
         zero = jnp.zeros((scene.pixels.count, 5))
         _, sums, accepted = jax.lax.fori_loop(0, length, body, (begun, zero, jnp.zeros(())))
         return sums, accepted

@@ -120,6 +120,11 @@ class Renderer(eqx.Module):
         for s, stage in enumerate(stages):
             k, dim = stage.regions, self.scene.pixels.dim
             values = np.broadcast_to(importance(film, k), (self.replicas,) + (k,) * dim)
+            require(
+                bool(np.isfinite(values).all() and (values >= 0).all()),
+                f"render: in stage {s} the importance function is NaN, infinite or negative in a region; a region "
+                "without samples has an image of zero",
+            )
             stage_key = jax.random.fold_in(key, s)
             steps = max(1, round(stage.samples / self.chains))
             if b == "exact":
@@ -130,6 +135,16 @@ class Renderer(eqx.Module):
             else:
                 image = film.image().reshape((self.replicas,) + (self.scene.pixels.side,) * dim)
                 normaliser = (resample(image, k, dim) * values).reshape(self.replicas, -1).mean(1)
+            require(
+                bool(np.all(np.asarray(normaliser) > 0)),
+                f"render: in stage {s} b, the integral of the importance function, is zero for some replica: there is "
+                "nothing to sample",
+            )
+            require(
+                steps * self.chains <= 2**24,
+                f"render: stage {s} has {steps * self.chains} samples a replica, and float32 sums take 2^24; ask for "
+                "more stages or replicas",
+            )
             more, rate = self._stage(stage_key, values, k, normaliser, steps)
             film = more if film is None else film.plus(more)
             accepted, steps_done, work = accepted + rate * steps, steps_done + steps, work + steps * self.chains
@@ -218,13 +233,13 @@ def _expose(
         def body(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
             state, sums, accepted = carry
             w = uniforms(step_key, k, (kernel.dim_w(target), chains), jnp.float32)
-            step = jax.vmap(partial(kernel.step, target), in_axes=(0, -1))(state, w)
+            step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
             return step.state, estimator.update(sums, step), accepted + step.info.acceptance.mean()
 
         zero = jnp.zeros((scene.pixels.count, 5), jnp.float32)
-        begun = jax.vmap(target.evaluate)(state)
+        begun = jax.vmap(target.evaluate, out_axes=-1)(state)
         last, sums, accepted = jax.lax.fori_loop(0, steps, body, (begun, zero, jnp.zeros(())))
-        return sums, accepted / steps, State(last.index, last.u)
+        return sums, accepted / steps, State(last.index, last.u.T)
 
     return jax.vmap(one)(keys, values, begin)
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_instance
-from mcmc1d.metropolis import Deposits, OfMove, Step, accept
+from mcmc1d.metropolis import Deposited, Deposits, OfMove, Step, accept
 from mcmc1d.moves import Move
 from mcmc1d.moves.exchange import Exchange
 from mcmc1d.numerics import parameter, require
@@ -98,6 +98,10 @@ class ReplicaDeposit(OfMove[Move]):
             shape == (len(own.techniques),),
             f"ReplicaDeposit: {len(own.techniques)} replicas have as many shares, not an array of shape {shape}",
         )
+
+    def deposited(self, target: Multiplexed) -> Deposited:
+        total = float(np.sum(self.shares))
+        return Deposited(_replicated(target).multiplexed, total, total)
 
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         own = _replicated(target)

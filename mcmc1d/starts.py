@@ -32,6 +32,8 @@ def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normal
 
     Hachisuka et al. 2014, section 4: the factor is the number of techniques of the chain, all of them.
     """
+    require_multiplexed(target, "normalisation")
+    require(samples >= 2, f"normalisation: two samples at least, not {samples}")
     batch = min(samples, 2**18)
     total = square = 0.0
     batches = -(-samples // batch)
@@ -53,6 +55,10 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
     from the target given that technique. Raises
     `ValueError` where the density is zero at every probe, is not finite, or is too narrow for rejection.
     """
+    require_multiplexed(target, "exact_start")
+    require(count >= 1, f"exact_start: one state at least, not {count}")
+    n = target.n_techniques
+    require(index is None or 0 <= index < n, f"exact_start: the index must lie in 0..{n - 1}, not {index}")
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     target = cast(target, dtype)
     probe_key, key = jax.random.split(key)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance, rising
+from mcmc1d.checks import require_cover, require_instance, rising
 from mcmc1d.numerics import cast, is_concrete, require
 from mcmc1d.quadrature import integrate
 from mcmc1d.targets import DensityOf, Target
@@ -170,12 +170,7 @@ class Multiplexed(eqx.Module):
         x, which `target.bin_masses` gives independently.
         """
         edges = rising(edges, "joint_masses")
-        lower, upper = self.target.domain
-        require(
-            bool(edges[0] <= lower and upper <= edges[-1]),
-            f"joint_masses: the bins [{edges[0]}, {edges[-1]}] do not cover the domain [{lower}, {upper}] of "
-            f"{type(self.target).__name__}; extend the edges",
-        )
+        require_cover("joint_masses", edges, self.target.domain, type(self.target).__name__)
         masses = integrate(_Shares(self), edges, self.breaks)[0].T
         return masses / masses.sum()
 

@@ -5,10 +5,10 @@ import jax
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance
-from mcmc1d.metropolis import Deposits, Info, Kernel, Step, accept, acceptance, as_kernel
+from mcmc1d.metropolis import Deposited, Deposits, Info, Kernel, Step, accept, acceptance, as_kernel
 from mcmc1d.moves import LargeStep, Move, MultipleTry, SmallStep
 from mcmc1d.moves.multiple_try import around, row
-from mcmc1d.numerics import require
+from mcmc1d.numerics import require, select
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 
@@ -45,6 +45,9 @@ class SubChain(Kernel):
         self.outer.check(target)
         self.inner.check(target)
 
+    def deposited(self, target: Multiplexed) -> Deposited | None:
+        return self.inner.deposited(target)
+
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         main = self.outer.dim_w(target)
         after = self.outer.step(target, state, w[:main])
@@ -53,7 +56,9 @@ class SubChain(Kernel):
             step = self.inner.step(target, inside, numbers)
             return step.state, (step.deposits, step.info)
 
-        _, (deposits, info) = jax.lax.scan(one, state, w[main:].reshape(self.length, -1))
+        last, (deposits, info) = jax.lax.scan(one, state, w[main:].reshape(self.length, -1))
+        # A sub-chain that came where the target is NaN is not thrown away, but found.
+        home = select(jnp.isposinf(last.seen.log_c), last, after.state)
         deposits, info = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), (deposits, info))
         mean = Deposits(deposits.x, deposits.index, deposits.weight / self.length)
         kind = jnp.concatenate([after.info.kind, info.kind + len(self.outer.kinds)])
@@ -62,7 +67,7 @@ class SubChain(Kernel):
             jnp.concatenate([after.info.acceptance, info.acceptance]),
             jnp.concatenate([after.info.accepted, info.accepted]),
         )
-        return Step(after.state, mean, both)
+        return Step(home, mean, both)
 
 
 class SplitSample(Kernel):
@@ -95,7 +100,9 @@ class SplitSample(Kernel):
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         proposals = around(self.step_by, target, state, w[:-1].reshape(self.tries, -1))
         chances = jax.vmap(lambda proposal: acceptance(state, proposal))(proposals)
-        step = accept(target, state, row(proposals, jnp.zeros((), jnp.int32)), w[-1], "plain")
+        # The first, but for one at which the target is NaN: there the chain goes, and is found.
+        nan = jnp.isposinf(proposals.state.seen.log_c)
+        step = accept(target, state, row(proposals, jnp.argmax(nan)), w[-1], "plain")
         # An impossible proposal may hold NaN: its share, which is zero, stands at home.
         lit, there, home = chances > 0, proposals.state, state.seen
         x = jnp.where(lit.reshape(-1, *[1] * home.x.ndim), there.seen.x, home.x)

@@ -11,8 +11,8 @@ from mcmc1d.importance import Floor, Product, Regions, Shader, lost_mass
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
 from mcmc1d.pixels import Pixels, masses, pixel_values, resample
-from mcmc1d.targets import FromFunction, Sinusoid, Tabulated, Target
-from mcmc1d.techniques import Uniform
+from mcmc1d.targets import Checkerboard, FromFunction, Sinusoid, Tabulated, Target, Tempered
+from mcmc1d.techniques import Rectangle, Uniform
 from mcmc1d.verify import RingStep, enumerate_kernel, ring
 
 F = np.array([1.0, 3.0, 0.5, 2.0, 4.0])
@@ -175,3 +175,36 @@ def test_resampling_keeps_the_mean_and_cuts_pixels():
     assert np.allclose(resample(image, 5, 2).mean((1, 2)), image.mean((1, 2)))
     assert np.allclose(resample(image, 4, 2), image.reshape(3, 4, 2, 4, 2).mean((2, 4)))
     assert np.allclose(resample(np.array([1.0, 2.0, 3.0]), 2, 1), [4 / 3, 8 / 3])
+
+
+@pytest.mark.parametrize("chains", [2, 8])
+def test_a_planar_image_of_a_run_has_its_deposits_where_they_are(chains):
+    """All of f in one quarter of the square, whatever the number of chains a block."""
+
+    class Quarter(Target):
+        @property
+        def domain(self):
+            return np.zeros(2), np.ones(2)
+
+        def log_f(self, x):
+            return jnp.where((x[0] > 0.5) & (x[1] < 0.5) & jnp.all((x >= 0) & (x <= 1)), 0.0, -jnp.inf)
+
+        def bin_masses(self, edges):
+            raise NotImplementedError
+
+    f = Quarter()
+    target = mcmc1d.Multiplexed(f, Rectangle())
+    estimators = {"image": Image(f, f, Pixels(2, 2))}
+    run = mcmc1d.run(jax.random.key(0), SmallStep(0.1), target, steps=8, chains=chains, blocks=1, estimators=estimators)
+    assert run.sums["image"][0, :, 0] == pytest.approx([0, 0, 8 * chains, 0])
+
+
+def test_a_power_of_a_target_and_a_product_keep_its_outline():
+    """A board whose lines fall on no even division of the square."""
+    checks = Checkerboard(np.array([[1.0, 0.0, 2.0], [0.5, 1.0, 0.0], [0.0, 3.0, 1.0]]))
+    edges = np.linspace(0, 1, 4)
+    exact = checks.bin_masses((edges, edges))
+    for made, power in ((Tempered(checks, 0.5), 0.5), (Product((checks, checks)), 2.0)):
+        with np.errstate(divide="ignore"):
+            wanted = np.where(exact > 0, (9 * exact) ** power / 9, 0)
+        np.testing.assert_allclose(made.bin_masses((edges, edges)), wanted, atol=1e-10)

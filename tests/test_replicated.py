@@ -11,6 +11,7 @@ from mcmc1d.moves import LargeStep, Mixture, SmallStep
 from mcmc1d.moves.exchange import Exchange, ReplicaStep
 from mcmc1d.replicated import ReplicaDeposit, Replicated, replicated
 from mcmc1d.starts import exact_start
+from mcmc1d.subchain import SubChain
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Ramp, Tent
 
@@ -58,6 +59,24 @@ def test_its_deposits_are_samples_of_f():
         off[name] = np.abs((run.mean("x") - exact / exact.sum()) / run.standard_error("x")).max()
     assert off["right"] < 7 < off["lopsided"]  # t with 15 degrees of freedom, 20 bins: by chance in 1e-4 of the runs
     assert verify.verify(SWAPPING, replicated(PAIR), **options).passed
+
+
+def test_verify_holds_its_deposits_to_f():
+    """Level 1e-5. Of wrong shares, 0.8 and 0.2 for 0.54 and 0.46, the deposits are caught, and nothing else."""
+    c = np.array([Replicated(PAIR, (i,)).bin_masses(EDGES).sum() for i in (0, 1)])
+    options = {"replicas": 2**14, "reversible": False, "steps": (1, 4, 16)}
+    assert verify.verify(ReplicaDeposit(SWAPPING, c / c.sum()), replicated(PAIR), **options).passed
+    wrong = verify.verify(ReplicaDeposit(SWAPPING, np.array([0.8, 0.2])), replicated(PAIR), **options)
+    assert {failure.layer for failure in wrong.failures} == {"deposits"}
+
+
+def test_a_cycle_and_a_sub_chain_say_what_they_deposit():
+    kernel = ReplicaDeposit(SWAPPING, np.array([0.5, 0.5]))
+    assert mcmc1d.Cycle([kernel, kernel]).deposited(replicated(PAIR)).target is PAIR
+    assert SubChain(SWAPPING, kernel, 2).deposited(replicated(PAIR)).target is PAIR
+    assert mcmc1d.Cycle([SWAPPING, SWAPPING]).deposited(replicated(PAIR)) is None
+    with pytest.raises(ValueError, match="deposit samples of different things"):
+        mcmc1d.Cycle([kernel, SWAPPING]).deposited(replicated(PAIR))
 
 
 def test_what_is_no_replica_is_refused():

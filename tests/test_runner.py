@@ -127,6 +127,55 @@ def test_deposits_far_below_the_histograms_unit_are_right_on_average(monkeypatch
     assert float(in_two_bins(1e-6)[1]) == 0
 
 
+def test_heavy_deposits_overflow_nothing_and_nan_stays():
+    def one(weight):
+        def deposit(weight):
+            return Deposits(jnp.full(1, 0.25), jnp.zeros(1, int), weight[None])
+
+        deposits = jax.vmap(deposit, out_axes=-1)(jnp.full(8192, weight))
+        return np.asarray(add_deposits(jnp.zeros(2), deposits, lambda x: (2 * x).astype(int), joint=False))
+
+    assert one(4.0).tolist() == [32768, 0]
+    assert one(1e9)[0] == pytest.approx(8192e9, rel=1e-6)
+    assert one(0.0).tolist() == [0, 0]
+    assert np.isnan(one(np.nan)[0])
+
+
+def test_hundreds_of_deposits_a_step_are_added_as_few_are():
+    """A loop from nine on; of both, more than their sum is compared."""
+    rng = np.random.default_rng(0)
+    x, weight = rng.random((40, 512)).astype(np.float32), rng.dirichlet(np.ones(40), 512).T.astype(np.float32)
+    many = jax.vmap(lambda x, w: Deposits(x, jnp.zeros(40, int), w), -1, -1)(x, weight)
+    exact = np.histogram(x, 8, (0, 1), weights=weight.astype(np.float64))[0]
+    found = add_deposits(jnp.zeros(8), many, lambda x: (8 * x).astype(int), joint=False)
+    assert np.allclose(found, exact, atol=40 * 2**-20)
+    parts = [
+        add_deposits(
+            jnp.zeros(8), jax.tree.map(lambda a, k=k: a[k : k + 8], many), lambda x: (8 * x).astype(int), joint=False
+        )
+        for k in range(0, 40, 8)
+    ]
+    assert np.allclose(sum(parts), exact, atol=40 * 2**-20)
+
+
+def test_an_edge_that_rounds_in_float32_still_covers():
+    target = mcmc1d.Multiplexed(
+        targets.FromFunction(lambda x: 1 + x, 0.1, 0.9), techniques.PiecewiseConstant([0.1, 0.9], [1])
+    )
+    bins = mcmc1d.Histogram(8, domain=(0.1, 0.9))
+    run = mcmc1d.run(jax.random.key(0), moves.LargeStep(), target, steps=2, chains=8, estimators={"x": bins})
+    assert run.sums["x"].sum() == pytest.approx(16)
+
+
+def test_expectations_of_several_things_are_a_tree():
+    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Uniform())
+    both = mcmc1d.Expectation(lambda x: {"one": jnp.ones(()), "two": jnp.stack([x, 2 * x])})
+    run = mcmc1d.run(jax.random.key(0), moves.LargeStep(), target, steps=4, chains=64, estimators={"e": both})
+    mean = run.mean("e")
+    assert mean["one"] == pytest.approx(1)
+    assert mean["two"][1] == pytest.approx(2 * mean["two"][0])
+
+
 def test_expectation_and_cycle():
     """Mean of x under f = 2 x is 2/3; 8 blocks give its error, and 6 of them a false alarm of 5e-4 at another seed."""
     target = mcmc1d.Multiplexed(targets.PiecewiseLinear([0, 1], [0, 2]), techniques.Uniform())

@@ -1,5 +1,6 @@
 """What can not be sampled is refused with a line that names it; exact joint laws."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,11 +10,30 @@ from mcmc1d import moves, targets, techniques, weights
 
 SINUSOID = targets.Sinusoid(0.9, 2.0, 0.1, 3.0)
 PAIR = (techniques.Tent(0.3), techniques.PiecewiseConstant([0, 0.4, 0.6, 1], [1, 0, 2]))
+LONG = techniques.PiecewiseConstant([0, 2], [1])
+MANY = mcmc1d.Multiplexed(SINUSOID, (techniques.Tent(0.3), techniques.Ramp(1.0)))
+KEY = jax.random.key(0)
 HALF = techniques.PiecewiseConstant([0, 0.5, 1], [1, 0])
 
 
 def of(function):
     return targets.FromFunction(function)
+
+
+class Own(moves.Move):
+    """A user's step of u alone."""
+
+    def dim_w(self, target):
+        return target.dim_u
+
+    def propose(self, target, state, w):
+        return moves.Proposal(mcmc1d.State(state.index, (state.u + w) % 1), (1 - w) % 1, jnp.zeros((), w.dtype))
+
+
+def test_a_step_of_u_alone_of_a_users_own_goes_with_a_technique_change():
+    moves.StepAndChange(Own()).check(MANY)
+    moves.StepAndChange(moves.CoordinateStep(0.1, 0)).check(MANY)
+    moves.StepAndChange(moves.ScaledStep(0.3)).check(mcmc1d.Multiplexed(SINUSOID, techniques.Tent(0.3)))
 
 
 @pytest.mark.parametrize(
@@ -48,6 +68,17 @@ def of(function):
         (lambda: mcmc1d.Multiplexed(SINUSOID, PAIR, lambda x, p: p[:1]), r"shape \(2,\), not \(1,\)"),
         (lambda: mcmc1d.Multiplexed(SINUSOID, PAIR, lambda x, p: p.sum()), r"shape \(2,\), not \(\)"),
         (lambda: techniques.Mixture(PAIR, (1.5, -0.5)), "must not be negative"),
+        (lambda: techniques.Compose((LONG, techniques.Tent())), "makes samples from 0.* to 2.*in the unit cube"),
+        (
+            lambda: moves.StepAndChange(moves.ScaledStep(0.3)).check(MANY),
+            "ScaledStep does to u depends",
+        ),
+        (lambda: moves.StepAndChange(moves.ReversibleJump()).check(MANY), "ReversibleJump does to u depends"),
+        (lambda: moves.StepAndChange(moves.CoordinateStep(0.1, 99)).check(MANY), "CoordinateStep"),
+        (lambda: targets.FromFunction(jnp.exp, -np.inf, 0.0), "both finite"),
+        (lambda: mcmc1d.exact_start(KEY, MANY, 0), "one state at least"),
+        (lambda: mcmc1d.exact_start(KEY, MANY, 10, index=7), "must lie in 0..1, not 7"),
+        (lambda: mcmc1d.normalisation(KEY, MANY, 0), "two samples at least"),
         (lambda: moves.Mixture({"a": (1.5, moves.LargeStep()), "b": (-0.5, moves.SmallStep())}), "not be negative"),
     ],
 )

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 import mcmc1d
-from mcmc1d import moves, techniques
+from mcmc1d import moves, targets, techniques
+from mcmc1d.moves.multiple_try import evenly
+from mcmc1d.packets import AuxiliaryCentre
+from mcmc1d.subchain import SplitSample, SubChain
 from mcmc1d.targets import FromFunction
 
 NARROW = 0.300123  # no probe lies within 1e-4 of it: they are 4.9e-4 apart
@@ -28,6 +31,35 @@ def chained(target, **changes):
 def test_a_narrow_spike_that_a_chain_meets_is_an_error(value, message):
     with pytest.raises(ValueError, match=f"{message}.*chains came upon such a place.*let f be 0 there"):
         chained(spike(value, 1e-5))
+
+
+@pytest.mark.parametrize(
+    "kernel",
+    [
+        moves.MultipleTry(moves.LargeStep(), 4),
+        moves.MultipleTry(moves.LargeStep(), 3, evenly),
+        AuxiliaryCentre(moves.LargeStep(), 4),
+        SplitSample(moves.LargeStep(), 4),
+        SubChain(moves.SmallStep(1e-4), moves.LargeStep(), 4),
+    ],
+)
+def test_a_kernel_of_many_candidates_does_not_pass_it_over(kernel):
+    """A hundredth of the domain is undefined: 256 chains come upon it in a few steps."""
+    target = FromFunction(lambda x: jnp.where(jnp.abs(x - 0.3) < 0.005, jnp.nan, 1.0))
+    start = mcmc1d.State(np.zeros(256, np.int32), np.linspace(0.5, 0.9, 256)[:, None])
+    chain = mcmc1d.Multiplexed(target, techniques.Uniform(), probes=0)
+    with pytest.raises(ValueError, match=r"NaN at x = 0\.(29|30)"):
+        mcmc1d.run(jax.random.key(0), kernel, chain, steps=40, chains=256, start=start)
+
+
+@pytest.mark.parametrize(
+    "kernel", [moves.MultipleTry(moves.LargeStep(), 3), AuxiliaryCentre(moves.LargeStep(), 3), moves.LargeStep()]
+)
+def test_a_dark_start_is_left(kernel):
+    target = mcmc1d.Multiplexed(targets.Tabulated([0, 1]), techniques.Uniform())
+    start = mcmc1d.State(np.zeros(64, np.int32), np.full((64, 1), 0.2))
+    run = mcmc1d.run(jax.random.key(0), kernel, target, steps=40, chains=64, start=start)
+    assert np.all(np.asarray(run.state.u) >= 0.5)
 
 
 def test_a_start_at_an_undefined_place_is_an_error():

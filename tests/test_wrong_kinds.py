@@ -19,6 +19,14 @@ CALLS = {
     "Cycle([moves.SmallStep])": "Cycle: a kernel: give an instance, SmallStep(...)",
     "moves.Mixture({'a': (1, moves.SmallStep)})": "Mixture: move 'a': give an instance, SmallStep(...)",
     "techniques.Mixture((techniques.Tent,), (1,))": "Mixture: a lobe: give an instance, Tent(...)",
+    "moves.StepAndChange(moves.LargeStep)": "StepAndChange: the step: give an instance, LargeStep(...)",
+    "exact_start(key, targets.Sinusoid(), 10)": "wrap it: Multiplexed(target, techniques)",
+    "normalisation(key, targets.Sinusoid())": "wrap it: Multiplexed(target, techniques)",
+    "flatland.Material(exponent='20')": "Material: exponent must be a whole number",
+    "flatland.Material(exponent=2.5)": "Material: exponent must be a whole number from 1 to 200, not 2.5",
+    "flatland.Segment((0, 0, 1), (1, 1))": "Segment: start is a point, two numbers",
+    "flatland.Material(emission='1')": "Material: emission is a number, not '1'",
+    "flatland.Pinhole((0.0, 0.0), (1.0, 0.0), pixels=2.5)": "Pinhole: pixels must be a whole number",
     "verify.check_move(moves.SmallStep)": "check_move: the move: give an instance, SmallStep(...)",
     "verify.check_move(move, targets.Sinusoid())": "wrap it: Multiplexed(target, techniques)",
     "verify.check_technique(techniques.Tent)": "check_technique: the technique: give an instance, Tent(...)",
@@ -28,6 +36,7 @@ SCRIPT = """
 import json, sys
 import jax
 from mcmc1d import *
+from mcmc1d import flatland
 key, move, target = jax.random.key(0), moves.SmallStep(), Multiplexed(targets.Sinusoid(), techniques.Uniform())
 said = {}
 for call in json.loads(sys.argv[1]):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtr
 
-import mcmc1d
+from experiments.support.long import long_run
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
 from mcmc1d.metropolis import Kernel, Metropolis, Step
@@ -154,6 +154,7 @@ class Films(NamedTuple):
 
 
 def films(
+    name: str,
     key: jax.Array,
     kernel: Kernel,
     target: Multiplexed,
@@ -163,12 +164,16 @@ def films(
     estimators: Mapping[str, Estimator],
     start: State | None = None,
 ) -> Films:
-    """Run chains from `start`, or exact starts; `checkpoints`: rising numbers of steps, to look at films after."""
+    """Run chains from `start`, or exact starts; `checkpoints`: rising numbers of steps, to look at films after.
+
+    `name`: as that of a `long_run`.
+    """
     asked = {"film": Film(paths, chains), **estimators}
     total, others, seen, done = 0, {}, [], 0
     kinds: tuple[str, ...] = ()
     for k, steps in enumerate(checkpoints):
-        ran = mcmc1d.run(
+        ran = long_run(
+            f"{name}, to {steps}",
             jax.random.fold_in(key, k),
             kernel,
             target,

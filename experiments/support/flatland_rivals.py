@@ -103,7 +103,7 @@ class Rivals:
                 start = State(jnp.zeros_like(exact.index), exact.u) if combine == "sum" else None
             each = one.rays(target, self.paths, {"mutation": 1.0})[0]
             own = jax.random.fold_in(key, k)
-            ran = films(own, kernel, target, self.paths, self.runs, self.steps.tolist(), estimators, start)
+            ran = films(who, own, kernel, target, self.paths, self.runs, self.steps.tolist(), estimators, start)
             images = pixels * self.b * ran.films
             if who == "PSSMLT, max":
                 images /= ran.films[-1].sum(-1).mean()

@@ -173,14 +173,17 @@ def _light_and_densities(
         local(vertex.frame, way * -1.0) for vertex, way in zip(vertices[1:], ways, strict=True)
     ]
     visible = _joined(walls, t, vertices)
-    from_eye, from_lamp = _unfolded(walls, distance, vertices)
+    # In lengths of the sky, so that no product of many factors vanishes because a scene is measured in millimetres.
+    unit = walls.at(walls.length, walls.count - 1)
+    from_eye, from_lamp = _unfolded(walls, [far / unit for far in distance], vertices)
+    log_unit = jnp.log(unit)
     inner = range(1, k)
 
     def turn(j: int, a: Local, b: Local) -> Scalar:
         return density(walls, vertices[j].segment, a, b, vertices[j].mirror)
 
     direction = jnp.exp(sensor.log_density(out[0]))
-    eye = [jnp.exp(sensor.log_place(walls, vertices[0].segment))]
+    eye = [jnp.exp(sensor.log_place(walls, vertices[0].segment) + sensor.places * log_unit)]
     for j in range(1, k + 1):
         step = direction * jnp.abs(coming[j].up) / from_eye[j - 1]
         if j < k:
@@ -190,7 +193,7 @@ def _light_and_densities(
         else:
             eye.append(step)
     emits = walls.at(walls.emission, vertices[k].segment)
-    lamp = [jnp.where(emits > 0, 1 / lamps(walls)[-1], 0)]
+    lamp = [jnp.where(emits > 0, unit / lamps(walls)[-1], 0)]
     direction = jnp.maximum(coming[k].up, 0) / 2
     for j in range(k - 1, -1, -1):
         step = direction * jnp.abs(out[j].up) / from_lamp[j]
@@ -202,7 +205,7 @@ def _light_and_densities(
             lamp.append(step)
     lamp = lamp[::-1]
     sensed = lit.sensor.log_response(out[0]) + lit.sensor.log_place(walls, vertices[0].segment)
-    f = jnp.exp(sensed) * walls.at(lit.walls.emission, vertices[k].segment)
+    f = jnp.exp(sensed + sensor.places * log_unit) * walls.at(lit.walls.emission, vertices[k].segment)
     f = f * jnp.maximum(coming[k].up, 0) / from_eye[k - 1]
     for j in inner:
         front = jnp.maximum(coming[j].up, 0) * jnp.maximum(out[j].up, 0) > 0
@@ -211,9 +214,12 @@ def _light_and_densities(
             mirrored = walls.at(lit.walls.mirror, vertices[j].segment)
             scattered = jnp.where(vertices[j].mirror, mirrored, scattered)
         f = f * jnp.where(front, scattered, 0)
-    return _log(jnp.where(visible, f, 0)), tuple(
-        _log(p) for p in _products(lengths, t, eye, lamp, visible, [vertex.mirror for vertex in vertices], walls)
-    )
+    mirror = [vertex.mirror for vertex in vertices]
+    each = _products(lengths, t, eye, lamp, visible, mirror, walls)
+    # Per length again, for each vertex but the mirrors' bounces.
+    bounces = sum(jnp.asarray(bounce).astype(walls.dtype) for bounce in mirror) if walls.mirrors else 0
+    per_length = (paths.dim - bounces) * log_unit
+    return _log(jnp.where(visible, f, 0)) - per_length, tuple(_log(p) - per_length for p in each)
 
 
 def _products(

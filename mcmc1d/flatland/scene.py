@@ -12,6 +12,8 @@ from mcmc1d.numerics import require
 
 Point = tuple[float, float]
 
+_NUMBER = (int, float, np.integer, np.floating)
+
 
 @dataclass(frozen=True)
 class Material:
@@ -35,11 +37,17 @@ class Material:
     def __post_init__(self):
         for name in ("emission", "lambert", "glossy", "mirror"):
             value = getattr(self, name)
+            require(isinstance(value, _NUMBER), f"Material: {name} is a number, not {value!r}")
             require(np.isfinite(value) and value >= 0, f"Material: {name} must not be negative or infinite: {value}")
         require(
-            self.exponent == int(self.exponent) and 1 <= self.exponent <= 200,
-            f"Material: exponent must be a whole number from 1 to 200, not {self.exponent}",
+            self.emission == 0 or 1e-9 <= self.emission <= 1e9,
+            f"Material: emission must be 0, or from 1e-9 to 1e9 (single precision squares it), not {self.emission}",
         )
+        require(
+            isinstance(self.exponent, _NUMBER) and self.exponent in range(1, 201),
+            f"Material: exponent must be a whole number from 1 to 200, not {self.exponent!r}",
+        )
+        object.__setattr__(self, "exponent", int(self.exponent))
         require(
             self.reflectance <= 1 + 1e-12,
             f"Material: the reflectances lambert + glossy + mirror must sum to 1 at most, not {self.reflectance:g}",
@@ -59,6 +67,12 @@ class Segment:
     end: Point
     material: Material = Material()
     name: str = ""
+
+    def __post_init__(self):
+        for end in ("start", "end"):
+            point = np.asarray(getattr(self, end), np.float64)
+            require(point.shape == (2,), f"Segment: {end} is a point, two numbers, not {getattr(self, end)!r}")
+            object.__setattr__(self, end, tuple(point.tolist()))
 
     @property
     def length(self) -> float:
@@ -82,7 +96,7 @@ class Pinhole:
     pixels: int = 16
 
     def __post_init__(self):
-        require(self.pixels >= 1, f"Pinhole: pixels must be 1 at least, not {self.pixels}")
+        _require_pixels("Pinhole", self.pixels)
         require(
             bool(np.isfinite(self.direction).all()) and np.hypot(*self.direction) > 0,
             f"Pinhole: direction must be finite and not zero, not {self.direction}",
@@ -106,7 +120,7 @@ class Wall:
     pixels: int = 16
 
     def __post_init__(self):
-        require(self.pixels >= 1, f"Wall: pixels must be 1 at least, not {self.pixels}")
+        _require_pixels("Wall", self.pixels)
 
 
 @dataclass(frozen=True)
@@ -129,9 +143,22 @@ class Scene:
             require(finite, f"scene {self.name}: {self.label(k)} has an end that is not finite: {segment}")
         for k, segment in enumerate(self.segments):
             require(
-                segment.length > 1e-6 * self._extent(),
-                f"scene {self.name}: {self.label(k)} has no length: it runs from {segment.start} to {segment.end}",
+                segment.length > 1e-4 * self._extent(),
+                f"scene {self.name}: {self.label(k)} has next to no length: it runs from {segment.start} to "
+                f"{segment.end}; a segment under 1e-4 of the scene's extent is lost in single precision",
             )
+        extent, far = self._extent(), float(np.abs(self.ends).max())
+        require(
+            1e-6 <= extent <= 1e6 and far <= 100 * extent,
+            f"scene {self.name}: it is {extent:.3g} across and reaches {far:.3g} from the origin; for single precision "
+            "scale it to between 1e-6 and 1e6, and move it to the origin",
+        )
+        mirrors, total = any(s.material.mirror > 0 for s in self.segments), float(self.lengths.sum())
+        require(
+            not mirrors or total <= 1e5,
+            f"scene {self.name}: its walls are {total:.3g} long; with mirrors 1e5 at most, or single precision takes "
+            "one mirror for another: scale it down",
+        )
         names = [segment.name for segment in self.segments if segment.name]
         twice = sorted({name for name in names if names.count(name) > 1})
         require(not twice, f"scene {self.name}: the name {', '.join(twice)} is taken twice")
@@ -173,7 +200,7 @@ class Scene:
     def _check_crossings(self) -> None:
         ends, tiny = self.ends, 1e-9 * self._extent()
         for a in range(len(ends)):
-            for b in _near(ends, a):
+            for b in _near(ends, a, tiny):
                 where = _crossing(ends[a], ends[b], tiny)
                 if where is not None:
                     raise ValueError(
@@ -196,9 +223,15 @@ class Scene:
         distances = [distance(position, pair) for pair in self.ends]
         k = int(np.argmin(distances))
         require(
-            distances[k] > 1e-9 * self._extent(),
-            f"scene {self.name}: the pinhole at {sensor.position} stands in {self.label(k)}; move it off the wall",
+            distances[k] > 1e-5 * self._extent(),
+            f"scene {self.name}: the pinhole at {sensor.position} stands in {self.label(k)}, or within 1e-5 of the "
+            "scene's extent; move it off the wall",
         )
+
+
+def _require_pixels(who: str, pixels: int) -> None:
+    whole = isinstance(pixels, int | np.integer) and pixels >= 1
+    require(whole, f"{who}: pixels must be a whole number, 1 at least, not {pixels!r}")
 
 
 def distance(point: np.ndarray, ends: np.ndarray) -> float:
@@ -213,11 +246,11 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def _near(ends: np.ndarray, a: int) -> Sequence[int]:
-    """The segments after `a` whose boxes touch its box."""
+def _near(ends: np.ndarray, a: int, tiny: float) -> Sequence[int]:
+    """The segments after `a` whose boxes touch its box, or nearly do."""
     low, high = ends.min(1), ends.max(1)
     later = np.arange(a + 1, len(ends))
-    touch = np.all((low[later] <= high[a]) & (low[a] <= high[later]), axis=1)
+    touch = np.all((low[later] <= high[a] + tiny) & (low[a] <= high[later] + tiny), axis=1)
     return later[touch].tolist()
 
 

@@ -12,9 +12,9 @@ from mcmc1d.checks import require_instance
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.candidates import Antithetic, Candidates, Independent, Rotated, Stratified
 from mcmc1d.moves.primary import ExponentialStep, SmallStep
-from mcmc1d.numerics import choose, in_unit_cube, require, unchoose
+from mcmc1d.numerics import choose, in_unit_cube, require, select, unchoose
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Float, Index, Scalar
+from mcmc1d.types import Array, Bool, Float, Index, Scalar
 
 LogWeight = Callable[[State, State, Scalar], Scalar]
 """(x, y, log q(x given y) - log q(y given x)) -> log w(x, y), maybe -inf; both states are evaluated."""
@@ -71,6 +71,7 @@ class MultipleTry(Move):
     `ratio="R_g"` uses that formula itself.
 
     The step is any move; `candidates` says how its numbers are drawn together. States: x, y evaluated p times each.
+    Where the target is NaN at any of them, the proposal is that state, which traps the chain for the runner to find.
     """
 
     step: Move
@@ -124,9 +125,14 @@ class MultipleTry(Move):
             log_det = log_sums - y.state.seen.log_c + state.seen.log_c
         else:
             log_det = y.log_det + log_back[reverse.place] - log_forth[k] + log_sums
-        possible = (log_forth[k] > -jnp.inf) & (log_back[reverse.place] > -jnp.inf)
+        # A dark state accepts any lit one, as everywhere.
+        dark = ~(state.seen.log_c > -jnp.inf)
+        log_det = jnp.where(dark, 0, log_det)
+        possible = (log_forth[k] > -jnp.inf) & (dark | (log_back[reverse.place] > -jnp.inf))
         w_back = jnp.concatenate([reverse.w, unchoose(_ends(log_back), reverse.place, place)[None]])
         proposal = Proposal(y.state, w_back, jnp.where(possible, log_det, -jnp.inf))
+        lost, trap = _undefined(y.state, forth.state, back.state)
+        proposal = select(lost, Proposal(trap, w, jnp.zeros_like(log_det)), proposal)
         return proposal, Packet(forth.state, back.state, log_forth, log_back)
 
     def _log_weights(self, x: State, family: Proposal) -> Float[Array, " p"]:
@@ -148,6 +154,15 @@ def possible(proposal: Proposal) -> Array:
     """Whether a proposal lies in the unit cube, and in the support."""
     inside = in_unit_cube(proposal.state.u) & in_unit_cube(proposal.w)
     return inside & (proposal.state.seen.log_c > -jnp.inf) & ~jnp.isnan(proposal.log_det)
+
+
+def _undefined(like: State, *families: State) -> tuple[Bool[Array, ""], State]:
+    """Whether the target is NaN at any state of the families, and the first such one: all of it that will be read."""
+    lost = jnp.isposinf(jnp.concatenate([family.seen.log_c for family in families]))
+    index, u = (jnp.concatenate([getattr(family, part) for family in families]) for part in ("index", "u"))
+    k = jnp.argmax(lost)
+    seen = eqx.tree_at(lambda s: s.log_c, like.seen, jnp.full_like(like.seen.log_c, jnp.inf))
+    return lost.any(), State(index[k], u[k], seen)
 
 
 def row(tree: Any, k: Index) -> Any:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from mcmc1d.checks import require_instance
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.reversible_jump import ReversibleJump
-from mcmc1d.numerics import parameter, require_positive
+from mcmc1d.numerics import in_unit_cube, parameter, require_positive
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Scalar
 
@@ -47,7 +47,8 @@ class Returning(Move):
 
     def _near(self, a: Float[Array, " n"], b: Float[Array, " n"]) -> Bool[Array, ""]:
         apart = jnp.abs(a - b)
-        return jnp.all(jnp.minimum(apart, 1 - apart) <= self.tolerance)  # NaN is not near
+        # Around the ends of the unit interval, and in it alone: neither NaN nor what lies far outside is near.
+        return in_unit_cube(a) & jnp.all(jnp.minimum(apart, 1 - apart) <= self.tolerance)
 
 
 EXAMPLES = {"returning_jump": Returning(ReversibleJump())}

@@ -1,11 +1,16 @@
 """Moves of the technique's index at fixed u: the multiplexed technique change, alone or with a step of u."""
 
+from typing import Any
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.checks import require_instance
 from mcmc1d.moves.base import Move, Proposal
+from mcmc1d.moves.perturbations import LinearStep, TruncatedStep, UniformStep
 from mcmc1d.moves.primary import ExponentialStep, LargeStep, SmallStep
 from mcmc1d.numerics import choose, cumulative, entry, is_concrete, require, unchoose, width
 from mcmc1d.state import Multiplexed, State
@@ -93,20 +98,26 @@ class StepAndChange(Move):
     """A step of u and a technique change in one proposal, as multiplexed MLT does (Hachisuka et al. 2014, section 4).
 
     The two act on different coordinates and so are one involution. `StepAndChange(LargeStep())` forgets everything.
+    The step is any that moves u alike whatever the technique; `check` raises `ValueError` for one that does not.
     """
 
-    step: SmallStep | ExponentialStep | LargeStep
+    step: Move
     change: TechniqueChange
 
-    def __init__(self, step: SmallStep | ExponentialStep | LargeStep, change: TechniqueChange | None = None):
-        """`change`: every technique alike, unless given."""
+    def __init__(self, step: Move, change: TechniqueChange | None = None):
+        """`step`: of u alone; `change`: every technique alike, unless given."""
+        require_instance(step, Move, "StepAndChange: the step")
         self.step, self.change = step, TechniqueChange() if change is None else change
+        require_instance(self.change, TechniqueChange, "StepAndChange: the change")
 
     def dim_w(self, target: Multiplexed) -> int:
         return self.step.dim_w(target) + self.change.dim_w(target)
 
     def check(self, target: Multiplexed) -> None:
+        self.step.check(target)
         self.change.check(target)
+        if not isinstance(self.step, _OF_U) and is_concrete(self.step, target):
+            _require_of_u(self.step, target)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
         r = self.step.dim_w(target)
@@ -117,6 +128,29 @@ class StepAndChange(Move):
             jnp.concatenate([stepped.w, changed.w]),
             stepped.log_det + changed.log_det,
         )
+
+
+_OF_U = (SmallStep, ExponentialStep, LargeStep, TruncatedStep, UniformStep, LinearStep)
+"""Known to look at u alone."""
+
+
+def _require_of_u(step: Move, target: Multiplexed, probes: int = 64) -> None:
+    """Raise `ValueError` where what a step does to u depends on the technique: the way back is by another."""
+    rng = np.random.default_rng(0)
+    u, w = jnp.asarray(rng.random((probes, target.dim_u))), jnp.asarray(rng.random((probes, step.dim_w(target))))
+
+    def at(index: Index, u: Array, w: Array) -> Any:
+        proposal = step.propose(target, target.evaluate(State(index, u)), w)
+        return proposal.state.u, proposal.w, proposal.log_det, proposal.state.index - index
+
+    every = eqx.filter_jit(jax.vmap(jax.vmap(at, in_axes=(None, 0, 0)), in_axes=(0, None, None)))
+    found = every(jnp.arange(target.n_techniques), u, w)
+    alike = all(np.allclose(part, part[:1], atol=1e-6, equal_nan=True) for part in map(np.asarray, found[:3]))
+    require(
+        alike and not np.asarray(found[3]).any(),
+        f"StepAndChange: what {type(step).__name__} does to u depends on the technique, or changes it, and the way "
+        "back is by another one: no involution. Have it in a Mixture beside a TechniqueChange",
+    )
 
 
 def log_ratio(numerator: Scalar, denominator: Scalar) -> Scalar:

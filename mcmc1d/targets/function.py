@@ -27,7 +27,10 @@ class FromFunction(Target):
         self, f: Callable[[Scalar], Scalar], lower: float = 0.0, upper: float = 1.0, breaks: Sequence[float] = ()
     ):
         """`f`: from x to a number that is not negative; `breaks`: where it jumps or bends inside [lower, upper]."""
-        require(lower < upper, f"FromFunction: lower must be under upper, not {lower} and {upper}")
+        require(
+            bool(np.isfinite(lower) and np.isfinite(upper) and lower < upper),
+            f"FromFunction: lower must be under upper, both finite, not {lower} and {upper}",
+        )
         self.f, self.lower, self.upper, self.kinks = f, float(lower), float(upper), tuple(map(float, breaks))
 
     @property

@@ -8,7 +8,8 @@ import numpy as np
 
 from mcmc1d.checks import require_instance
 from mcmc1d.numerics import is_concrete, log_sum, parameter, require
-from mcmc1d.targets.base import Target
+from mcmc1d.quadrature import Outline
+from mcmc1d.targets.base import Edges, Target
 from mcmc1d.types import Array, Corners, Float, Scalar
 
 
@@ -37,12 +38,16 @@ class Tempered(Target):
     def breaks(self) -> tuple[float, ...]:
         return self.target.breaks
 
+    @property
+    def outline(self) -> Outline:
+        return self.target.outline
+
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         log_f = self.target.log_f(x)
         dark = jnp.isneginf(log_f)
         return jnp.where(dark, -jnp.inf, self.log_scale + self.beta * jnp.where(dark, 0, log_f))  # 0 times inf is NaN
 
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+    def bin_masses(self, edges: Edges) -> np.ndarray:
         return self.quadrature(edges)
 
 
@@ -72,10 +77,16 @@ class Sum(Target):
         points.update(float(end) for target in self.targets for end in target.domain if np.ndim(end) == 0)
         return tuple(sorted(points))
 
+    @property
+    def outline(self) -> Outline:
+        """Those of the terms, and the sides of their domains."""
+        boxes = [Outline.box(*target.domain) for target in self.targets if np.shape(target.domain[0]) == (2,)]
+        return Outline.together([*boxes, *(target.outline for target in self.targets)])
+
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         return log_sum([target.log_f(x) for target in self.targets])
 
-    def bin_masses(self, edges: np.ndarray) -> np.ndarray:
+    def bin_masses(self, edges: Edges) -> np.ndarray:
         return np.sum([target.bin_masses(edges) for target in self.targets], axis=0)
 
 

@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import numpy as np
 
-from mcmc1d.numerics import below_one, require
+from mcmc1d.checks import require_instance
+from mcmc1d.numerics import below_one, is_concrete, require
 from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
 from mcmc1d.types import Array, Corners, Float, Scalar
 
@@ -22,7 +24,15 @@ class Compose(Technique):
         """`techniques`: in the order in which they are applied; all but the last make samples in the unit cube."""
         self.techniques = tuple(techniques)
         require(len(self.techniques) > 0, "Compose: give one technique at least")
+        for technique in self.techniques:
+            require_instance(technique, Technique, "Compose: a technique")
         for before, after in zip(self.techniques, self.techniques[1:], strict=False):
+            low, high = (np.asarray(corner) for corner in before.support) if is_concrete(before) else (0, 1)
+            require(
+                bool(np.all(low >= -1e-6) and np.all(high <= 1 + 1e-6)),
+                f"Compose: {type(before).__name__} makes samples from {low} to {high}, and all but the last must make "
+                "them in the unit cube",
+            )
             name, shape = type(after).__name__, sample_shape(before)
             require(
                 dim_v(after) == 0,

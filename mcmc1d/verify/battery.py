@@ -303,12 +303,12 @@ def coordinates(positions: Position) -> dict[str, np.ndarray]:
     leaves, _ = jax.tree_util.tree_flatten_with_path(positions)
     result = {}
     for path, leaf in leaves:
-        name = "".join(str(getattr(key, "key", getattr(key, "idx", getattr(key, "name", key)))) for key in path) or "x"
+        name = ".".join(str(getattr(key, "key", getattr(key, "idx", getattr(key, "name", key)))) for key in path) or "x"
         columns = np.asarray(leaf).reshape(len(leaf), -1)
-        if np.ndim(leaf) == 1:
-            result[name] = columns[:, 0]
-        else:
-            result |= {f"{name}[{k}]": columns[:, k] for k in range(columns.shape[1])}
+        own = [name] if np.ndim(leaf) == 1 else [f"{name}[{k}]" for k in range(columns.shape[1])]
+        twice = [each for each in own if each in result]
+        require(not twice, f"two coordinates of a position would be called {twice[:1]}; name them otherwise")
+        result |= dict(zip(own, columns.T, strict=True))
     return result
 
 
@@ -323,10 +323,11 @@ def evaluate(name: str, statistic: Continuous | Discrete, where: Position) -> np
             value = np.asarray(statistic.value(where))[bad][:1]
             raise ValueError(f"the cdf of {name} is {u[bad][:1]} at {value}; it must lie in [0, 1]")
         return np.clip((u * FINE).astype(np.int64), 0, FINE - 1)
-    cell = np.asarray(statistic.cell(where))
+    cell, n = np.asarray(statistic.cell(where)), len(jax.tree.leaves(where)[0])
     require(
-        cell.dtype.kind in "iu" and cell.ndim == 1,
-        f"statistic {name}: cell must return one integer a position, not {cell.dtype} of shape {cell.shape}",
+        cell.dtype.kind in "iu" and cell.shape == (n,),
+        f"statistic {name}: cell must return one integer a position, shape {(n,)}, not {cell.dtype} of shape "
+        f"{cell.shape}",
     )
     return np.where((cell >= 0) & (cell < len(statistic.masses)), cell, -1)
 

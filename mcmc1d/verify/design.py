@@ -128,6 +128,10 @@ def _marginals(law: Law, draws: Position, columns: Mapping[str, np.ndarray]) -> 
     if len(columns) == 1 and np.ndim(jax.tree.leaves(draws)[0]) == 1:
         (name,) = columns
         return {name: Continuous(_Column(name), cdf)}
+    require(
+        jax.tree.structure(draws) == jax.tree.structure(0),
+        f"{law.name}: cdf is for positions that are one array, (n,) or (n, d); what is known of a tree are statistics",
+    )
     table = _Table(law)
     return {name: _Marginal(_Column(name), cdf, table, k) for k, name in enumerate(columns)}
 

@@ -38,7 +38,7 @@ class LibrarySubject(Subject):
         if deposited is not None:
             self.total, self.most = deposited.total, deposited.most
             law = multiplexed_law(deposited.target)
-            # Of x alone: what index a deposit has is the kernel's own business.
+            # Of x alone: what index a deposit has is the kernel's own business. (Nothing, where no value is known.)
             self.deposited = {name: known for name, known in law.statistics.items() if name.startswith("x")}
 
     def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance, rising
+from mcmc1d.checks import require_cover, require_instance, rising
 from mcmc1d.compiling import wide_jit
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
@@ -40,12 +40,16 @@ def deposit_law(
     It is the target's for an unbiased estimator; its difference from that is the bias of a right chain's deposits.
     `points`, a power of two, is the size of the net for one technique; there are `scrambles` of them, two at least.
 
-    Raises `ValueError` where the kernel does not fit the target.
+    Raises `ValueError` where the kernel does not fit the target, x is no scalar, or the bins do not cover its domain.
     """
     kernel = as_kernel(kernel, "deposit_law: the kernel")
     require_instance(target, Multiplexed, "deposit_law: the target")
     kernel.check(target)
     edges = rising(np.asarray(edges, np.float64), "deposit_law")
+    deposited = kernel.deposited(target)
+    of = (target if deposited is None else deposited.target).target
+    require(np.ndim(of.domain[0]) == 0, f"deposit_law: x must be a scalar; {type(of).__name__} has none")
+    require_cover("deposit_law", edges, of.domain, type(of).__name__)
     log2 = int(points).bit_length() - 1
     require(points == 2**log2 and log2 >= 10, f"points must be a power of two, 1024 at least, not {points}")
     require(scrambles >= 2, f"an error estimate needs two scrambles at least, not {scrambles}")

@@ -69,6 +69,11 @@ class Trial:
             max_weight=sampler.max_weight / subject.total,
             deposited=subject.deposited,
         )
+        if look.picked is not None and not any(test.layer == "deposits" for test in self.tests):
+            self.inconclusive.append(
+                "its deposits are of another law, of which no exact value is known: they were not looked at; verify "
+                "Metropolis of the same move for the chain alone"
+            )
         own = [(0, k) for k, test in enumerate(self.tests) if sampler.own(test)]
         self.keys = own + [(t, k) for t in sampler.steps for k in range(len(self.tests))]
         self.power = Power(self.scheme, self.tests, len(self.keys), self.sure)
@@ -77,27 +82,27 @@ class Trial:
     def size(self, gap: float | None, seconds: float, replicas: int | None) -> None:
         """Choose how many replicas: what the gap takes, or what the time affords; and the unit, from their number."""
         known, goal = gap is None, AIM if gap is None else gap
-        needed = self.power.replicas(goal, self.grow, known=known)
+        needed, at_once = (self.power.replicas(goal, grow, known=known) for grow in (self.grow, 1))
         if replicas is not None:
             require(replicas >= LEAST, f"{replicas} replicas are too few; give {LEAST} or more")
             n = replicas
         else:
             affordable = int(seconds * self.sampler.workers / self.sampler.seconds_a_replica())
-            if needed <= affordable < self.grow * needed:
-                # The second stage would take too long: rather find the gap at the first, where that can be afforded.
-                at_once = self.power.replicas(goal, 1, known=known)
-                self.grow, needed = (1, at_once) if at_once <= affordable else (self.grow, needed)
             n = needed
-            if affordable < needed:
+            if at_once <= affordable < self.grow * needed:
+                # The second stage would take too long: rather find the gap at the first, where that can be afforded.
+                n = at_once
+            elif affordable < needed:
                 # A quarter of a power of two, so that two runs of one kernel on one machine mostly agree on it.
                 octave = 1 << max(affordable.bit_length() - 3, 0)
                 n = max(LEAST, affordable // octave * octave)
-        if n < needed:
-            self.grow = 1  # what is slow gets further stages of the same size
         per_look, subject = -(-n // _LOOKS), self.sampler.subject
         if per_look < subject.unit:
             subject.unit = max(subject.least_unit, 1 << (per_look - 1).bit_length())
         self.n = n if replicas is not None else _LOOKS * (-(-per_look // subject.unit) * subject.unit)
+        # By their number alone, so that a report's replicas make the same run again: fewer than the gap needs, or as
+        # many as find it at once, get further stages of the same size.
+        self.grow = self.grow if needed <= self.n < at_once else 1
 
     def _unlikely(self, draws: Position) -> Position:
         """The draws, the least likely first."""
@@ -133,7 +138,7 @@ class Trial:
             if ergodic:
                 self.forget()
             return
-        # Few replicas of a kernel that seldom moves may all stay.
+        # Few replicas of a kernel that seldom moves may all stay; so do many of one that next to never does.
         few = self.deciding.n * np.log1p(-_RATE) > np.log(self.scheme.level)
         (self.inconclusive if few else self.reasons).append(still)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mcmc1d.flatland.integrators import Layer, Stacked, Sums
-from mcmc1d.flatland.integrators.compare import radius
+from mcmc1d.flatland.integrators import Image, Layer, Stacked, Sums
+from mcmc1d.flatland.integrators.compare import compare, radius
 
 ONE = Layer(2, 3.0, Sums(100, np.array([20.0, 40.0]), np.array([6.0, 18.0]), 1.0), None, 200.0)
 B = Sums(10, np.array([20.0]), np.array([44.0]), 5.0)
@@ -44,3 +44,23 @@ def test_the_radius_holds_for_rare_bright_paths(normalised):
     held, tenth = beyond / 1500
     assert np.all(held <= 0.1)
     assert tenth[-1] > 0.2
+
+
+def test_nothing_is_compared_with_what_is_no_number():
+    image = Image([ONE])
+    for numbers in ([[np.nan, 1.2]], [[np.inf, 1.2]]):
+        with pytest.raises(ValueError, match="the exact image is NaN or infinite"):
+            compare(image, np.array(numbers))
+    broken = Image([ONE._replace(deposits=ONE.deposits._replace(total=np.array([np.nan, 40.0])))])
+    with pytest.raises(ValueError, match="the image is NaN"):
+        compare(broken, np.array([[0.6, 1.2]]))
+
+
+def test_what_has_no_bound_neither_agrees_nor_differs():
+    endless = Image([ONE._replace(deposits=ONE.deposits._replace(bound=np.inf))])
+    found = compare(endless, np.array([[50.0, 1.2]]))
+    assert not found.agrees
+    assert not found.differs
+    bounded = compare(Image([ONE]), np.array([[50.0, 1.2]]))
+    assert bounded.differs
+    assert not bounded.agrees

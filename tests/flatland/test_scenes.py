@@ -2,14 +2,19 @@
 
 from dataclasses import dataclass, replace
 
+import jax
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
 from experiments.support.flatland import draw_paths, draw_scene
-from mcmc1d.flatland.scene import Material, Pinhole, Scene, Wall, cross
+from mcmc1d.flatland.integrators import integrate
+from mcmc1d.flatland.integrators.base import multiplexed
+from mcmc1d.flatland.paths import Paths
+from mcmc1d.flatland.scene import Material, Pinhole, Scene, Segment, Wall, cross
 from mcmc1d.flatland.scenes import block, catalogue, office, polygon, scene
+from mcmc1d.weights import Power
 
 SCENES = {name: make() for name, make in catalogue().items()}
 OPEN = {"open", "occluder", "mirror_caustic"}
@@ -269,6 +274,47 @@ def test_bad_names_and_bad_parts_are_refused():
     with pytest.raises(ValueError, match="3 sides need as many materials, not 2"):
         polygon([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], [Material()] * 2)
     assert scene("box") == SCENES["box"]
+
+
+FLOOR = Segment((0.0, 0.0), (4.0, 0.0), Material(1.0))
+EYE = Pinhole((1.0, 1.0), (0.0, -1.0))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Material(1e20), "from 1e-9 to 1e9"),
+        (lambda: Wall("floor", pixels=0), "pixels must be a whole number"),
+        (lambda: Scene("near", (FLOOR, Segment((1.0, 0.0), (1.00001, 1e-5))), EYE), "next to no length"),
+        (lambda: Scene("eye", (FLOOR,), replace(EYE, position=(2.0, 1e-8))), "stands in segment 0"),
+        (lambda: Scene("laid", (moved(FLOOR, 0.3), Segment((1.0, 0.1 + 0.2), (2.0, 0.1 + 0.2))), EYE), "overlap"),
+        (lambda: Scene("far", (moved(FLOOR, 1e5),), EYE), "from the origin; for single precision"),
+        (lambda: integrate(jax.random.key(0), "pt", scene("box"), lengths=[2, 2], samples=4), "different numbers"),
+        (lambda: multiplexed(Paths(scene("box"), 2), None, Power(0.5)), "beta must be 1 at least"),
+    ],
+)
+def test_what_single_precision_or_sense_does_not_take_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def moved(segment, up):
+    (a, b), (c, d) = segment.start, segment.end
+    return replace(segment, start=(a, b + up), end=(c, d + up))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-2, 1e3])
+def test_a_scene_looks_the_same_in_another_unit_of_length(size):
+    """Of nine edges, whose products of densities would leave float32: the same numbers make the same paths."""
+    box = scene("box")
+    large = tuple(
+        replace(s, start=tuple(size * np.array(s.start)), end=tuple(size * np.array(s.end))) for s in box.segments
+    )
+    other = Scene("other", large, replace(box.sensor, position=tuple(size * np.array(box.sensor.position))))
+    means = [integrate(jax.random.key(0), "bdpt", of, lengths=[9], samples=4096).total.mean() for of in (box, other)]
+    assert means[1] == pytest.approx(means[0], rel=0.02)
+    assert means[0] > 0
 
 
 # --- drawing --------------------------------------------------------------------------------------------------------

@@ -19,6 +19,10 @@ NORMAL = laws.normal(1)
 WALK = walk(NORMAL, 2.0)
 
 
+def pairs(rng, n):
+    return rng.normal(size=(n, 2))
+
+
 def independent(key, x):
     """Fresh draws, with no accept test: right, and it compiles in no time."""
     return jax.random.normal(key, x.shape)
@@ -275,6 +279,24 @@ def test_a_certificate_is_json_and_a_plot_is_drawn():
         (WALK, NORMAL, {"seed": -1}, "seed"),
         (WALK, Law(lambda rng, n: rng.normal(size=n + 1), cdf=ndtr), {}, "must return"),
         (WALK, Law(lambda rng, n: np.full(n, np.nan), cdf=ndtr), {}, "NaN"),
+        (
+            lambda key, x: x,
+            Law(lambda rng, n: dict(zip("ab", pairs(rng, n).T, strict=True)), cdf=ndtr),
+            {},
+            "positions that are one array",
+        ),
+        (
+            lambda key, x: x,
+            Law(pairs, bins=(np.array([-9.0, 0.0, 9.0]), np.array([0.5, 0.5]))),
+            {},
+            r"one integer a position, shape",
+        ),
+        (
+            lambda key, x: x,
+            Law(lambda rng, n: {"a": {"b": pairs(rng, n)[:, 0]}, "a.b": pairs(rng, n)[:, 0]}),
+            {},
+            "two coordinates of a position would be called",
+        ),
         (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: x), {}, "must lie in"),
         (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: 0.5), {}, "must return shape"),
         (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: ndtr(-x)), {}, "the cdf of x falls"),

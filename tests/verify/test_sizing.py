@@ -37,6 +37,13 @@ def sized(affordable: float, gap: float | None = 0.02, replicas: int | None = No
     return trial
 
 
+@pytest.mark.parametrize("share", [0.3, 0.98, 1.0, 1.01, 1.2, 1.02 * AT_ONCE / TWO_STAGES, 3.8, 4.2])
+def test_the_replicas_of_a_report_make_the_same_run_again(share):
+    timed = sized(share * TWO_STAGES)
+    again = sized(1.0, replicas=timed.n)
+    assert (again.n, again.grow) == (timed.n, timed.grow)
+
+
 def test_a_gap_takes_fewer_replicas_where_a_second_stage_decides():
     assert TWO_STAGES < 0.7 * AT_ONCE
 

@@ -66,7 +66,7 @@ def integrate(
     """Render a scene.
 
     Arguments: `integrator`, or its name in `INTEGRATORS` or `FURTHER`; `lengths`, the numbers of edges, or the largest
-    of them; `samples`, of each length: paths, or mutations of all chains together (rounded up to what runs at once);
+    of them; `samples`, of each length: paths, or mutations of all chains together (rounded to what runs at once);
     `pixels`, the scene's own unless given.
 
     Raises `ValueError` where there is no integrator of that name, where it can not make some of the scene's light, and
@@ -80,7 +80,10 @@ def integrate(
     require_instance(integrator, Integrator, "integrate: the integrator")
     require_instance(scene, Scene, "integrate: the scene")
     each = range(1, lengths + 1) if isinstance(lengths, int) else tuple(lengths)
-    require(len(each) > 0 and min(each) >= 1, f"integrate: lengths are numbers of edges, 1 at least, not {lengths}")
+    require(
+        len(each) > 0 and min(each) >= 1 and len(set(each)) == len(each),
+        f"integrate: lengths are different numbers of edges, 1 at least, not {lengths}",
+    )
     require(samples >= 2, f"integrate: samples must be 2 at least, not {samples}")
     scene = scene if pixels is None else scene.with_pixels(pixels)
     for k in each:

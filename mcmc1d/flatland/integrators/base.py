@@ -12,11 +12,11 @@ from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Pinhole, Scene, distance
-from mcmc1d.numerics import cast
+from mcmc1d.numerics import cast, is_concrete, require
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
-from mcmc1d.weights import Weights
+from mcmc1d.weights import Power, Weights
 
 _LANES = 2**12
 _STEPS = 2**9
@@ -45,7 +45,14 @@ class Integrator(eqx.Module):
 
 
 def multiplexed(paths: Paths, lengths: tuple[int, ...] | None, weights: Weights | None) -> Multiplexed:
-    """Light by the techniques of bidirectional path tracing with t in `lengths`: all of them where it is None."""
+    """Light by the techniques of bidirectional path tracing with t in `lengths`: all of them where it is None.
+
+    Raises `ValueError` for a power heuristic of an exponent under 1, with which w f / p has no bound.
+    """
+    bounded = (
+        not isinstance(weights, Power) or not is_concrete(weights.beta) or bool(np.all(np.asarray(weights.beta) >= 1))
+    )
+    require(bounded, "the power heuristic's beta must be 1 at least here: below, w f / p is unbounded")
     return Multiplexed(Light(paths), Bidirectional(paths, lengths), weights, probes=0)
 
 
@@ -106,7 +113,7 @@ def _sums(
             old + np.asarray(new, np.float64).sum(-1) for old, new in zip((total, squares), lanes, strict=True)
         )
     if not np.all(np.isfinite(squares)):
-        raise ValueError("the light of a path is NaN or infinite; look at the scene for a lamp of infinite emission")
+        raise ValueError("the light of a path is NaN or infinite, or its square over what single precision holds")
     return Sums(steps * _LANES, total, squares, bound)
 
 

@@ -20,12 +20,20 @@ class Comparison(NamedTuple):
     excess: np.ndarray
     """The difference from the exact value, less that value's own error, in radii of the test; (rows, pixels)."""
     detectable: np.ndarray
-    """The error that would be found with probability 0.99, relative to the pixel or, if larger, the image's mean."""
+    """The error that would be found with probability 0.99, relative to the pixel or, if larger, the image's mean.
+
+    Infinite where what is summed has no bound, and zero where both images are known to be dark.
+    """
 
     @property
     def agrees(self) -> bool:
-        """Whether every pixel of every row does."""
-        return bool(np.all(self.excess <= 1))
+        """Whether every pixel of every row does, and could have been found not to."""
+        return bool(np.all(self.excess <= 1) and np.all(np.isfinite(self.detectable)))
+
+    @property
+    def differs(self) -> bool:
+        """Whether some pixel can not be a right integrator's; neither this nor `agrees` where nothing can be told."""
+        return bool(np.any(self.excess > 1))
 
 
 def bernstein_radius(sums: Sums, level: float) -> np.ndarray:
@@ -82,7 +90,8 @@ def _radius(layers: Sequence[Layer], level: float) -> np.ndarray:
 def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, level: float = 1e-5) -> Comparison:
     """Hold an image to exact `values`, (lengths, pixels), known to `errors`: each length, and the total.
 
-    `level`: that any pixel of a right integrator fails, all rows together (a union bound).
+    `level`: that any pixel of a right integrator fails, all rows together (a union bound). Raises `ValueError` where
+    the shapes do not fit, or a number of either image is NaN or infinite.
     """
     values = np.asarray(values, np.float64)
     errors = np.zeros_like(values) if errors is None else np.asarray(errors, np.float64)
@@ -91,6 +100,8 @@ def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, 
         f"compare: the image has {image.values.shape} lengths and pixels; the exact one {values.shape}, its errors "
         f"{errors.shape}",
     )
+    for what, numbers in (("the image", image.values), ("the exact image", values), ("its errors", errors)):
+        require(bool(np.isfinite(numbers).all()), f"compare: {what} is NaN or infinite somewhere")
     lengths, pixels = values.shape
     each = level / (pixels * (lengths + 1))
     around = np.stack([radius([layer], each) for layer in image.layers] + [radius(image.layers, each)])

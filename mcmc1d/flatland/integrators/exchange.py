@@ -25,7 +25,8 @@ class ReplicaExchange(Integrator):
     """Kitaoka, Kitamura, Kishino 2009, "Replica exchange light transport", with the techniques of BDPT as classes.
 
     An ensemble has a replica for each technique, which samples w_i f / p_i, the part of the light that the balance
-    heuristic leaves to it; neighbours swap their u. A class whose light was zero at all samples for its c_i has none.
+    heuristic leaves to it; neighbours swap their u. A class whose light was zero at all samples for its c_i has none:
+    those samples stand for it.
     Each class is a layer of its own; their errors are added up as if they were independent, which within an ensemble,
     where replicas swap, they are not quite (the intervals of `compare` do not rest on that).
     """
@@ -60,7 +61,7 @@ class ReplicaExchange(Integrator):
         nothing = np.zeros(pixels)
         dark = [Layer(edges, float(pixels), Sums(sums[i].size, nothing, nothing, bound), None, 0.0) for i in range(n)]
         if not lit:
-            return dark[0]._replace(rays=for_b)
+            return Stacked(tuple(layer._replace(rays=for_b / n) for layer in dark))
         u = [exact_start(jax.random.fold_in(start_key, i), each, self.chains, index=i).u for i in lit]
         start = State(jnp.zeros(self.chains, jnp.int32), jnp.concatenate(u, axis=1))
         steps = max(1, -(-samples // self.chains))
@@ -71,7 +72,7 @@ class ReplicaExchange(Integrator):
         ran = run(key, self._kernel(each, len(lit)), replicated(each, lit), **options, estimators=estimators)
         counts = dict(zip(ran.kinds, ran.sums["kinds"][1].sum(0).tolist(), strict=True))
         walked = edges * (sum(counts.values()) + counts.get("swap", 0.0))  # a swap makes two paths
-        layers = []
+        layers = [dark[i] for i in range(n) if i not in lit]
         for k, i in enumerate(lit):
             mean = np.moveaxis(ran.sums[f"film {k}"], 1, 0).reshape(pixels, -1) / steps
             film = Sums(self.chains, mean.sum(1), (mean**2).sum(1), 1.0)

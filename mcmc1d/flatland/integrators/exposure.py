@@ -188,7 +188,7 @@ def _candidates(key: Key, target: Multiplexed, attempt: int) -> tuple[State, np.
     plain = eqx.tree_at(lambda t: t.target.values, target, np.ones_like(_light(target).values))
     state, density, pixel, uniform = jax.tree.map(np.asarray, _drawn(key, plain, jnp.asarray(attempt)))
     if not np.isfinite(density).all():
-        raise ValueError("the light of a path is NaN or infinite; look at the scene for a lamp of infinite emission")
+        raise ValueError("the light of a path is NaN or infinite")
     return state, density.astype(np.float64), pixel, uniform
 
 

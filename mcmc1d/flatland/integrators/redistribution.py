@@ -67,19 +67,17 @@ class EnergyRedistribution(Integrator):
         batches = max(1, round(samples / (1 + self.mutations) / _PATHS))
         size = batches * _PATHS
         b = bootstrap(b_key, target, _PATHS, most)
-        total, squares, chains = np.zeros(pixels), np.zeros(pixels), 0
-        if b.total.any():
-            quantum = b.mean.item() * self.length / self.mutations
-            index, u, owner = self._starts(path_key, target, batches, quantum)
-            chains = len(owner)
-            # Sums of each path: a chain's mean deposit is a quantum of its path's energy.
-            paths_with, rank = np.unique(owner, return_inverse=True)
-            each = np.zeros((len(paths_with), pixels))
-            np.add.at(each, rank, quantum * self._walked(key, target, paths, index, u))
-            total, squares = each.sum(0), (each**2).sum(0)
-            most += quantum
-        rays = float(edges) * (size + chains * self.length + b.size)
-        return Layer(edges, float(pixels), Sums(size, total, squares, most), None, rays)
+        # A quantum, and whatever it is the image is unbiased: also where no path for b was lit.
+        mean = b.mean.item() if b.total.any() else most / b.size
+        quantum = mean * self.length / self.mutations
+        index, u, owner = self._starts(path_key, target, batches, quantum)
+        # Sums of each path: a chain's mean deposit is a quantum of its path's energy.
+        paths_with, rank = np.unique(owner, return_inverse=True)
+        each = np.zeros((len(paths_with), pixels))
+        np.add.at(each, rank, quantum * self._walked(key, target, paths, index, u))
+        sums = Sums(size, each.sum(0), (each**2).sum(0), most + quantum)
+        rays = float(edges) * (size + len(owner) * self.length + b.size)
+        return Layer(edges, float(pixels), sums, None, rays)
 
     def _starts(
         self, key: Key, target: Multiplexed, batches: int, quantum: float
@@ -89,9 +87,7 @@ class EnergyRedistribution(Integrator):
         for k in range(batches):
             state, energy, xi = (jax.tree.map(np.asarray, part) for part in _energies(key, target, jnp.asarray(k)))
             if not np.all(np.isfinite(energy)):
-                raise ValueError(
-                    "the light of a path is NaN or infinite; look at the scene for a lamp of infinite emission"
-                )
+                raise ValueError("the light of a path is NaN or infinite")
             path = np.repeat(np.arange(_PATHS), chains_of(energy.astype(np.float64), quantum, xi))
             found.append((state.index[path], state.u[path], path + k * _PATHS))
         index, u, owner = (np.concatenate(parts) for parts in zip(*found, strict=True))

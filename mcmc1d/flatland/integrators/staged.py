@@ -186,10 +186,13 @@ class StagedMLT(Integrator):
                 continue
             each = stage.deposits[0]
             most = 1.0 if self.shader is None else max(1.0, 1 / float(self.shader.factor))
-            film = Sums(self.chains, each.sum(0), (each**2).sum(0), most)
             # What f was multiplied by is divided out here: then a chain's deposit is bounded, whatever it was.
             scale = stage.samples * pixels / stage.values[0]
-            layers.append(Layer(edges, scale, film, stage.normaliser, rays))
+            film, b = Sums(self.chains, each.sum(0), (each**2).sum(0), most), stage.normaliser
+            if stage.start is None:  # no chain ran: what is known of the light are the samples for b, all dark
+                nothing = np.zeros(pixels)
+                film, b = Sums(b.size, nothing, nothing, most * b.bound), None
+            layers.append(Layer(edges, scale, film, b, rays))
             kept, rays = kept + stage.samples, 0.0
         return Stacked(tuple(layer.scaled(1 / kept) for layer in layers))
 

@@ -34,11 +34,6 @@ class Layout(NamedTuple):
     """t of each technique."""
     dim_u: int
 
-    @property
-    def pinhole(self) -> bool:
-        """Whether no path can hit the sensor."""
-        return self.paths.sensor.places == 0
-
 
 class Seen(NamedTuple):
     """What a mutation may look at to plan: it must find the same on the path that it has made."""
