@@ -12,8 +12,7 @@ from mcmc1d.estimators import Estimator, add_deposits
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import require
 from mcmc1d.quadrature import Outline, integrate_plane
-from mcmc1d.state import Multiplexed
-from mcmc1d.targets import DensityOf
+from mcmc1d.state import Multiplexed, Shares
 from mcmc1d.techniques.planar import outlines
 from mcmc1d.types import Array, Float
 
@@ -64,20 +63,8 @@ def planar_joint_masses(target: Multiplexed, x_edges: np.ndarray, y_edges: np.nd
     _require_cover("planar_joint_masses", target, x_edges, y_edges)
     known = [target.target.outline, Outline.box(*target.target.domain)]
     known += [outline for technique in target.techniques for outline in outlines(technique)]
-    masses = np.moveaxis(integrate_plane(_Shares(target), x_edges, y_edges, known)[0], -1, 0)
+    masses = np.moveaxis(integrate_plane(Shares(target), x_edges, y_edges, known)[0], -1, 0)
     return masses / masses.sum()
-
-
-class _Shares(eqx.Module):
-    """w_i(x) f(x) for every technique, as a function of x."""
-
-    target: Multiplexed
-
-    def __call__(self, x: Float[Array, " 2"]) -> Float[Array, " n"]:
-        log_p = self.target.family.log_probs(x)
-        weights = jnp.exp(jnp.stack(list(self.target.log_weights(x, log_p))))
-        f = DensityOf(self.target.target)(x)
-        return jnp.where(f > 0, weights * f, 0)
 
 
 def _require_cover(who: str, target: Multiplexed, x_edges: np.ndarray, y_edges: np.ndarray) -> None:

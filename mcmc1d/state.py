@@ -171,12 +171,12 @@ class Multiplexed(eqx.Module):
         """
         edges = rising(edges, "joint_masses")
         require_cover("joint_masses", edges, self.target.domain, type(self.target).__name__)
-        masses = integrate(_Shares(self), edges, self.breaks)[0].T
+        masses = integrate(Shares(self), edges, self.breaks)[0].T
         return masses / masses.sum()
 
 
-class _Shares(eqx.Module):
-    """w_i(x) f(x) for every technique, as a function of x."""
+class Shares(eqx.Module):
+    """w_i(x) f(x) for every technique, (n,), as a function of x: what joint masses are integrals of."""
 
     target: Multiplexed
 

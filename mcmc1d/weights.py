@@ -78,7 +78,10 @@ class Maximum(Weights):
     """The maximum heuristic: all of x goes to the technique with the largest density there, the first of equals."""
 
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
-        best = jnp.argmax(jnp.stack(log_p))
+        # One by one: over many chains an argmax of so short an axis does not vectorise, and nothing fuses across it.
+        best, largest = jnp.zeros((), jnp.int32), log_p[0]
+        for i, p in enumerate(log_p[1:], 1):
+            best, largest = jnp.where(p > largest, i, best), jnp.maximum(p, largest)
         return [jnp.where(best == i, jnp.zeros_like(p), -jnp.inf) for i, p in enumerate(log_p)]
 
 

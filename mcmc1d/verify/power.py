@@ -1,5 +1,6 @@
 """Which errors the sequential scheme finds, and with what probability."""
 
+import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,11 @@ from mcmc1d.verify.ledger import Scheme
 
 LEAST = 16
 """The fewest replicas of a first stage."""
+
+_SIZES = [LEAST]
+while _SIZES[-1] < 2**27:
+    _SIZES.append(int(_SIZES[-1] * 1.02) + 1)
+"""What is tried, two per cent apart."""
 
 _LATER = 0.01  # the share of the probability of a miss that is left to the second stage, which has draws to spare
 
@@ -59,11 +65,9 @@ class Power:
         return max((g for g in gaps if g is not None), default=np.inf)
 
     def replicas(self, gap: float, grow: int, *, known: bool) -> int:
-        """How many show the gap."""
-        n = LEAST
-        while self.gap(n, grow, known=known) > gap and n < 2**27:
-            n = int(n * 1.02) + 1
-        return n
+        """How many show the gap, to 2 %; the more, the smaller the gap."""
+        k = bisect.bisect_left(_SIZES, -gap, key=lambda n: -self.gap(n, grow, known=known))
+        return _SIZES[min(k, len(_SIZES) - 1)]
 
     @property
     def headline(self) -> list[Test]:
