@@ -23,6 +23,7 @@ from mcmc1d.rendering import NORMALISERS, Rendered, Renderer, Scene
 from mcmc1d.stages import MultiStage, NoiseAware, Stage, plan
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Uniform
+from mcmc1d.types import Key
 
 PAPER = "Hoberock and Hart 2010"
 
@@ -65,7 +66,35 @@ threshold is constant and a visual error is an absolute one."""
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The bias of a line against N; two-stage against the quality of its first image; Table 1 on two scenes."""
     key = jax.random.key(seed)
-    sizes = [SMALLEST * 4**j for j in range(config.bias_sizes)]
+    scenes = {name: make() for name, make in SCENES.items()}
+    return xr.Dataset(
+        {
+            **_line(config, key, progress),
+            **_table_1(config, scenes, key, progress),
+            "first_visual": (("first", "replica"), _first_image(config, jax.random.fold_in(key, 5000), progress)),
+            "limit": (("scene", "ideal"), np.stack([ideal(scene) for scene in scenes.values()])),
+        },
+        {
+            "b": list(NORMALISERS),
+            "scheme": list(SCHEMES),
+            "found": ["bias", "error"],
+            "samples": _sizes(config),
+            "scene": list(scenes),
+            "algorithm": list(METHODS),
+            "first": [*FIRST, -1],  # -1: an exact one
+            "ideal": ["bright, even", "bright, f", "dark, even", "dark, f"],
+        },
+    )
+
+
+def _sizes(config: Config) -> list[int]:
+    """The N of the biases."""
+    return [SMALLEST * 4**j for j in range(config.bias_sizes)]
+
+
+def _line(config: Config, key: Key, progress: Sweep) -> dict[str, Any]:
+    """The bias of an image of the line by N and by where b comes from, and what two readings of Algorithm 2 make."""
+    sizes = _sizes(config)
     bias = np.zeros((len(NORMALISERS), len(sizes), config.bias_replicas))
     line = Scene(Sinusoid(0.8, 2.0, 0.1), Uniform(), Pixels(config.bias_side))
     kernel = Mixture({"large": (0.5, LargeStep()), "small": (0.5, SmallStep(0.1))})
@@ -83,7 +112,11 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         image = renderer.render(jax.random.fold_in(key, 100 + row), stages, MultiStage(line.pixels)).film.image()
         schemes[row] = image.mean(1) / total - 1, error(image, line.exact())
         progress("text and listing", row + 1, len(SCHEMES))
-    scenes = {name: make() for name, make in SCENES.items()}
+    return {"bias": (("b", "samples", "seed"), bias), "scheme_found": (("scheme", "found", "seed"), schemes)}
+
+
+def _table_1(config: Config, scenes: dict[str, Scene], key: Key, progress: Sweep) -> dict[str, Any]:
+    """The columns of Table 1 for each scene and method, and the sample densities of one seed."""
     shape = (len(scenes), len(METHODS), config.replicas)
     columns = {
         name: np.zeros(shape) for name in ("acceptance", "variance", "skew", "kurtosis", "error", "dark", "visual")
@@ -109,28 +142,8 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             density[j] = made.film.density[0] / made.film.density[0].mean()
             progress("table 1", i * len(METHODS) + j + 1, len(scenes) * len(METHODS))
         pictures[f"{name}_density"] = (("algorithm", f"{name}_pixel"), density)
-    first = _first_image(config, jax.random.fold_in(key, 5000), progress)
-    return xr.Dataset(
-        {
-            "bias": (("b", "samples", "seed"), bias),
-            "scheme_found": (("scheme", "found", "seed"), schemes),
-            **{name: (("scene", "algorithm", "replica"), value) for name, value in columns.items()},
-            "work": (("scene", "algorithm"), work),
-            "first_visual": (("first", "replica"), first),
-            "limit": (("scene", "ideal"), np.stack([ideal(scene) for scene in scenes.values()])),
-            **pictures,
-        },
-        {
-            "b": list(NORMALISERS),
-            "scheme": list(SCHEMES),
-            "found": ["bias", "error"],
-            "samples": sizes,
-            "scene": list(scenes),
-            "algorithm": list(METHODS),
-            "first": [*FIRST, -1],  # -1: an exact one
-            "ideal": ["bright, even", "bright, f", "dark, even", "dark, f"],
-        },
-    )
+    table = {name: (("scene", "algorithm", "replica"), value) for name, value in columns.items()}
+    return {**table, "work": (("scene", "algorithm"), work), **pictures}
 
 
 def ideal(scene: Scene) -> np.ndarray:
@@ -149,7 +162,7 @@ def ideal(scene: Scene) -> np.ndarray:
     )
 
 
-def render(scene: Scene, method: str, config: Config, key) -> Rendered:
+def render(scene: Scene, method: str, config: Config, key: Key) -> Rendered:
     """One of the methods of Table 1 at the same work; b exact, so that only the samples differ."""
     kernel, samples = walk(), config.samples
     renderer, adapt = Renderer(scene, kernel, config.replicas, 4), MultiStage(scene.pixels)
@@ -167,7 +180,7 @@ def render(scene: Scene, method: str, config: Config, key) -> Rendered:
     return renderer.render(key, plan(side, samples), adapt if method == "MMLT" else NoiseAware(adapt, exposure))
 
 
-def _first_image(config: Config, key, progress: Sweep) -> np.ndarray:
+def _first_image(config: Config, key: Key, progress: Sweep) -> np.ndarray:
     """The visual error of two-stage on the room, by the samples of its test image, at equal work in all."""
     scene = room()
     # The floor is low: whatever the test image says is believed, as in the paper's figure 4.

@@ -11,7 +11,7 @@ from mcmc1d.checks import require_instance
 from mcmc1d.metropolis import Deposited, Deposits, OfMove, Step, accept
 from mcmc1d.moves import Move
 from mcmc1d.moves.exchange import Exchange
-from mcmc1d.numerics import parameter, require
+from mcmc1d.numerics import is_concrete, parameter, require
 from mcmc1d.pooled import Floored
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Target
@@ -95,8 +95,9 @@ class ReplicaDeposit(OfMove[Move]):
         self.move.check(target)
         shape = np.shape(self.shares)
         require(
-            shape == (len(own.techniques),),
-            f"ReplicaDeposit: {len(own.techniques)} replicas have as many shares, not an array of shape {shape}",
+            shape == (len(own.techniques),)
+            and (not is_concrete(self.shares) or bool(np.all(np.asarray(self.shares) >= 0))),
+            f"ReplicaDeposit: {len(own.techniques)} replicas have as many shares, none negative, not {self.shares}",
         )
 
     def deposited(self, target: Multiplexed) -> Deposited:

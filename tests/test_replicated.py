@@ -84,5 +84,5 @@ def test_what_is_no_replica_is_refused():
         Replicated(PAIR, (0, 0))
     with pytest.raises(ValueError, match="must hold 2 replicas of 1 numbers"):
         Exchange().check(mcmc1d.Multiplexed(Sinusoid(), Tent()))
-    with pytest.raises(ValueError, match="2 replicas have as many shares"):
+    with pytest.raises(ValueError, match="2 replicas have as many shares, none negative"):
         ReplicaDeposit(SWAPPING, np.ones(3)).check(replicated(PAIR))

@@ -54,7 +54,7 @@ class Power:
         return detectable(test, self.scheme, self.looks, n, grow, self.power)
 
     def gap(self, n: int, grow: int, *, known: bool = False) -> float:
-        """The smallest gap that n replicas detect in any coordinate, or in those alone whose CDF is `known`.
+        """The smallest gap that n replicas detect in every coordinate, or in those alone whose CDF is `known`.
 
         Infinite where no coordinate is ordered.
         """
