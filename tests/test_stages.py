@@ -134,3 +134,13 @@ def test_the_bilateral_filter_smooths_and_keeps_edges():
 def test_what_can_not_be_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [(np.inf, "NaN, infinite or negative"), (np.nan, "NaN, infinite"), (-1.0, "or negative"), (0.0, "b, the integral")],
+)
+def test_an_importance_that_can_not_be_sampled_is_refused(value, message):
+    """It was drawn from for ever: no candidate is ever kept, and none exceeds the bound."""
+    with pytest.raises(ValueError, match=f"in stage 0.*{message}|{message}.*in stage 0"):
+        RENDERER.render(jax.random.key(0), [Stage(2, 64)], lambda film, k: np.array([[value, value]]))

@@ -44,6 +44,11 @@ def as_subject(
     else:
         require(not foreign, f"deposits are tested of JAX kernels only; {subject.name} has none")
         subject = copy.copy(subject)  # what is declared here is not the caller's
+    require(
+        not reversible or subject.together == 1,
+        f"{subject.name}: the walkers of an ensemble move by each other, and their (first, last) pairs are not "
+        "independent; leave out reversible=",
+    )
     if reversible is not None:
         subject.reversible = reversible
     return subject
@@ -130,6 +135,7 @@ class EnsembleSubject(Subject):
         self.move, self.walkers, self.log_prob = move, walkers, log_prob
         self.name = f"emcee {type(move).__name__}, {walkers} walkers"
         self.unit = self.least_unit = walkers * 16
+        self.together = walkers
 
     def check(self, start: Position) -> None:
         require(

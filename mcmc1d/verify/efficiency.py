@@ -1,5 +1,6 @@
 """Whether two kernels of one law mix alike: for mistakes that leave the law right and change the variance only."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -56,7 +57,8 @@ def efficiency(
     """Compare how far two kernels take stationary chains, in units of each coordinate's own probability.
 
     Replica by replica from the same start, independent numbers: one has moved further than q and the other has not, or
-    the reverse, as often if they mix alike. Detects a difference of about 8 sqrt(1 / (2 replicas)) in any share.
+    the reverse, as often if they mix alike. Detects a difference of about 8 sqrt(1 / (2 replicas)) in any share. Of an
+    ensemble's walkers one counts.
 
     Arguments as `verify`'s; `reference` is a kernel that is known to be as good as it should be.
     """
@@ -66,16 +68,18 @@ def efficiency(
         subject = as_subject(each, target, law, reversible=None, deposits=None, max_weight=1.0)
         runs.append(Sampler(law, subject, entropy(seed, f"efficiency {k}")))
         subject.check(runs[k].draw("design", 0, 0, subject.unit))
+    # Of what moves by each other, one: the ways of the others are not independent of its.
+    stride = math.lcm(*(run.subject.together for run in runs))
     draws = coordinates(runs[0].draw("design", 0, 0, 2**14))
     sorts = {name: np.sort(values) for name, values in draws.items()}
     start = runs[0].draw("start", 1, 0, replicas)
-    before = _ranks(sorts, coordinates(start))
+    before = _ranks(sorts, coordinates(start), stride)
     more: list[int] = []
     less: list[int] = []
     moved = {}
     walks = [run.subject.walk(run.words("steps", 1), start, steps) for run in runs]
     for t, *looks in zip(steps, *walks, strict=True):
-        after = [_ranks(sorts, coordinates(look.positions)) for look in looks]
+        after = [_ranks(sorts, coordinates(look.positions), stride) for look in looks]
         for name in before:
             for q in _FAR:
                 mine, other = (np.abs(ranks[name] - before[name]) > q for ranks in after)
@@ -86,10 +90,10 @@ def efficiency(
     return Efficiency(names, sign_p_value(np.array(more), np.array(less)), level, moved)
 
 
-def _ranks(sorts: dict[str, np.ndarray], columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Each coordinate as its place among exact draws, in [0, 1]."""
-    return {
-        name: (np.searchsorted(sorts[name], values, "left") + np.searchsorted(sorts[name], values, "right"))
-        / (2 * len(sorts[name]))
-        for name, values in columns.items()
-    }
+def _ranks(sorts: dict[str, np.ndarray], columns: dict[str, np.ndarray], stride: int) -> dict[str, np.ndarray]:
+    """Each coordinate of every `stride`-th replica as its place among exact draws, in [0, 1]."""
+
+    def rank(among: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return (np.searchsorted(among, values, "left") + np.searchsorted(among, values, "right")) / (2 * len(among))
+
+    return {name: rank(sorts[name], values[::stride]) for name, values in columns.items()}

@@ -48,6 +48,8 @@ class Subject(abc.ABC):
     """How many replicas one call advances."""
     least_unit: int = 256
     """To how few that may be lowered for a slow kernel."""
+    together: int = 1
+    """How many replicas in a row move by each other: at any one time they are independent, their ways are not."""
     threads: bool = False
     """Whether calls may run side by side."""
     deposited: Mapping[str, Statistic] | None = None

@@ -1,11 +1,12 @@
 """Other libraries' kernels in the shapes that they come in: keys that `init` wants, Python's numbers in a state."""
 
 import blackjax
+import emcee
 import jax.numpy as jnp
 import pytest
 from numpyro.infer import HMC
 
-from mcmc1d.verify import laws, verify
+from mcmc1d.verify import efficiency, laws, verify
 
 LAW = laws.normal(2)
 
@@ -35,3 +36,13 @@ def test_a_number_of_python_in_a_state(length):
         **length,
     )
     assert verify(kernel, LAW, replicas=2**14).passed
+
+
+def test_walkers_of_an_ensemble_are_no_independent_pairs():
+    """They can not be declared reversible; of each ensemble one is compared, so that a move is as fast as itself."""
+    move = emcee.moves.StretchMove()
+    with pytest.raises(ValueError, match="the walkers of an ensemble move by each other"):
+        verify(move, LAW, reversible=True)
+    assert efficiency(move, move, LAW, replicas=2**12, steps=(1, 4)).alike
+    slow = efficiency(emcee.moves.StretchMove(a=1.02), move, LAW, replicas=2**12, steps=(1, 4))
+    assert not slow.alike
