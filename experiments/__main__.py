@@ -163,11 +163,11 @@ def claims(
     """Show the claims checked so far, from the results of the last runs."""
     found = framework.read_claims(out)
     if write is not None:
-        framework.rewrite(write, found)
+        framework.rewrite(write, found, framework.origins(out))
     elif json_:
         print(json.dumps([vars(claim) for claim in found], indent=2))
     elif markdown:
-        print("\n".join(framework.markdown(found)))
+        print("\n".join(framework.markdown(found, framework.origins(out))))
     else:
         _print_claims(found)
 

@@ -121,7 +121,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         scale = b if one else integral(own.target)  # what deposits are multiplied by
         net = net_error = np.full(config.bins, np.nan)
         if not one:
-            net, net_error = deposit_law(kernel, own, edges, points=config.points, seed=seed)
+            net, net_error = deposit_law(kernel, own, edges, points=config.points)
         if name == "MMLT":
             size: dict[str, Any] = {"steps": config.steps, "chains": config.chains, "blocks": config.blocks}
             joint_histogram = {"x": mcmc1d.Histogram(edges, joint=True)}

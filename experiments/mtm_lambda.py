@@ -313,7 +313,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         claim(
             "strata-all-but-chosen",
             "Stratified candidates, with competitors in all strata but the chosen one's, keep the law",
-            f"{SOURCE}, sec. 6.2; Craiu and Lemieux 2007",
+            f"ours; {SOURCE}, sec. 6.2; Craiu and Lemieux 2007",
             off["strata: all but the chosen"] < 1e-12,
             "fails",
             f"TV {off['strata: all but the chosen']:.4f}; caught on the line: {not passed['other strata']}",
@@ -331,7 +331,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         claim(
             "quasi-random-independent",
             "Quasi-random candidates with independent competitors keep the law",
-            f"{SOURCE}, sec. 6.3; Craiu and Lemieux 2007",
+            f"ours; {SOURCE}, sec. 6.3; Craiu and Lemieux 2007",
             off["quasi-random: independent"] < 1e-12,
             "fails",
             f"TV {off['quasi-random: independent']:.4f}; caught on the line: {not passed['fresh competitors']}",
@@ -349,8 +349,8 @@ def judge(data: xr.Dataset) -> list[Claim]:
         claim(
             "clamped-without",
             "A clamped Gaussian without its normaliser keeps the law",
-            f"{SOURCE}, sec. 6.1",
-            wrong < 1e-3,
+            f"ours; {SOURCE}, sec. 6.1",
+            not (wrong > 2e-3 and apart < 5e-3),
             "fails",
             f"TV {wrong:.4f}: the law is f Z, to {apart:.1e} by the operator (p = 1, 4); caught on the line: "
             f"{not passed['no normaliser']}",
@@ -367,8 +367,8 @@ def judge(data: xr.Dataset) -> list[Claim]:
         ),
         claim(
             "shapes",
-            "Gaussian perturbations are more effective than uniform and linear ones, each at its best size",
-            f"{SOURCE}, sec. 6.1",
+            "With one candidate, Gaussian perturbations are more effective than uniform and linear ones",
+            f"ours; {SOURCE}, sec. 6.1, which speaks of many",
             bool(np.all(shapes["Gaussian"] < 0.98 * rivals)),
             "fails",
             "error of a histogram at equal work: " + "; ".join(f"{name} {e[0]:.3f}" for name, e in shapes.items()),

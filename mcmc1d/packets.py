@@ -1,5 +1,7 @@
 """Kernels that deposit a whole packet of candidates: coherent Metropolis light transport, as published and repaired."""
 
+from typing import Literal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,15 +19,22 @@ from mcmc1d.types import Array, Float
 class PublishedDeposit(OfMove[MultipleTry]):
     """Multiple-try with the deposits of Segovia, Iehl, Peroche 2007, section 5.2: biased for two candidates or more.
 
-    Every candidate gets R_g times its share of the weights around x, every competitor, the current state among them,
-    1 - R_g times its share around y, with R_g limited to one. The chain itself is right; what is deposited is not,
-    but for p = 1. See `metropolis.Metropolis` for the deposit on two states and `AuxiliaryCentre` for one on p + 1.
+    Every candidate gets R_g times its share of its family, every competitor, the current state among them, 1 - R_g
+    times its share of the other, with R_g limited to one. As published a share is in proportion to the target, f / sum
+    f; `inner="weights"` takes the weights w by which one candidate is selected. The chain itself is right; what is
+    deposited is not, but for p = 1 (and, with w, for an independent proposal and lambda = 1 / (g g)). See
+    `metropolis.Metropolis` for the deposit on two states and `AuxiliaryCentre` for one on p + 1.
     """
 
     move: MultipleTry
+    inner: Literal["target", "weights"] = eqx.field(static=True, default="target")
 
     def __check_init__(self):
         require_instance(self.move, MultipleTry, "PublishedDeposit: the move")
+        require(
+            self.inner in ("target", "weights"),
+            f'PublishedDeposit: inner must be "target" or "weights", not {self.inner!r}',
+        )
 
     def check(self, target: Multiplexed) -> None:
         self.move.check(target)
@@ -36,8 +45,15 @@ class PublishedDeposit(OfMove[MultipleTry]):
         a = step.info.acceptance[0]
         # A dead end has neither family: all of it on the current state.
         alone = a == 0
-        forth = jnp.where(alone, 0, a * jax.nn.softmax(packet.log_forth))
-        back = jnp.where(alone, 0, (1 - a) * jax.nn.softmax(packet.log_back))
+        forth, back = packet.log_forth, packet.log_back
+        if self.inner == "target":
+            # What can not be proposed has no weight, and so no share.
+            forth, back = (
+                jnp.where(w > -jnp.inf, family.seen.log_c, -jnp.inf)
+                for w, family in ((forth, packet.candidates), (back, packet.competitors))
+            )
+        forth = jnp.where(alone, 0, a * jax.nn.softmax(forth))
+        back = jnp.where(alone, 0, (1 - a) * jax.nn.softmax(back))
         weights = jnp.concatenate([forth, back, jnp.where(alone, 1, 0)[None].astype(a.dtype)])
         deposits = _deposits([packet.candidates, packet.competitors, _one(state)], weights, state)
         return Step(step.state, deposits, step.info)
@@ -109,5 +125,6 @@ def _deposits(families: list[State], weights: Float[Array, " n"], home: State) -
 
 EXAMPLES = {
     "published_deposit": PublishedDeposit(MultipleTry(SmallStep(0.2), 3)),
+    "published_deposit_by_weights": PublishedDeposit(MultipleTry(SmallStep(0.2), 3), "weights"),
     "auxiliary_centre": AuxiliaryCentre(SmallStep(0.2), 3),
 }

@@ -93,17 +93,17 @@ def test_the_table_is_written_between_the_marks(tmp_path):
     claims = framework.read_claims(ROOT / "figures")
     document = tmp_path / "document.md"
     document.write_text("before\n<!-- claims -->\nold\n<!-- /claims -->\nafter\n")
-    framework.rewrite(document, claims)
+    framework.rewrite(document, claims, "from there")
     first, *table, last = document.read_text().splitlines()
     assert (first, last) == ("before", "after")
-    assert table == ["<!-- claims -->", *framework.markdown(claims), "<!-- /claims -->"]
+    assert table == ["<!-- claims -->", *framework.markdown(claims, "from there"), "<!-- /claims -->"]
     document.write_text("no marks")
     with pytest.raises(ValueError, match="has no lines <!-- claims -->"):
-        framework.rewrite(document, claims)
+        framework.rewrite(document, claims, "from there")
 
 
 def test_readme_shows_the_claims_of_the_committed_figures():
     if not list((ROOT / "figures").glob("*.json")):
         pytest.fail("figures/ has no results: run `make reproduce` and commit them")
-    lines = framework.markdown(framework.read_claims(ROOT / "figures"))
+    lines = framework.markdown(framework.read_claims(ROOT / "figures"), framework.origins(ROOT / "figures"))
     assert "\n".join(lines) in (ROOT / "README.md").read_text()

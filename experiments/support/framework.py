@@ -104,9 +104,24 @@ def manifest(name: str, profile: str, config: Any, seed: int, claims: list[Claim
     }
 
 
+def origins(out: Path) -> str:
+    """Of which profile and seed the last run of each experiment is, in a sentence."""
+    profiles: dict[str, list[str]] = {}
+    for record in _records(out):
+        if record.get("claims"):
+            seed = f" (seed {record['seed']})" if record["seed"] else ""
+            profiles.setdefault(record["profile"], []).append(f"`{record['experiment']}`{seed}")
+    parts = "; ".join(f"of the {profile} profile {', '.join(names)}" for profile, names in sorted(profiles.items()))
+    return f"Results {parts}; at seed 0 unless said."
+
+
+def _records(out: Path) -> list[dict[str, Any]]:
+    return [json.loads(path.read_text()) for path in sorted(out.glob("*.json"))]
+
+
 def read_claims(out: Path) -> list[Claim]:
     """The claims of the last run of each experiment, from the manifests in `out`."""
-    records = [json.loads(path.read_text()) for path in sorted(out.glob("*.json"))]
+    records = _records(out)
     found = [Claim(**claim) for record in records for claim in record.get("claims", [])]
     require(bool(found), f"no results in {out}; run `python -m experiments run --all` first")
     return found
@@ -118,21 +133,21 @@ def read(out: Path, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     return xr.load_dataset(out / f"{name}.nc", engine="h5netcdf"), json.loads((out / f"{name}.json").read_text())
 
 
-def markdown(claims: list[Claim]) -> list[str]:
-    """The lines of the README's table."""
+def markdown(claims: list[Claim], where: str) -> list[str]:
+    """The lines of the README's table, and where it is from."""
     cells = [(f"`{c.id}`", c.statement, c.source, f"**{c.verdict}**", c.number, c.tolerance) for c in claims]
     rows = [" | ".join(cell.replace("|", r"\|") for cell in row) for row in cells]
     head = ["| id | claim | source | verdict | measured | held to |", "| --- | --- | --- | --- | --- | --- |"]
-    return head + [f"| {row} |" for row in rows]
+    return [where, "", *head, *(f"| {row} |" for row in rows)]
 
 
-def rewrite(document: Path, claims: list[Claim]) -> None:
+def rewrite(document: Path, claims: list[Claim], where: str) -> None:
     """Put the table between the two `claims` marks of a document; `ValueError` where it has none."""
     opening, closing = "<!-- claims -->\n", "\n<!-- /claims -->"
     before, mark, rest = document.read_text().partition(opening) if document.exists() else ("", "", "")
     _, end, after = rest.partition(closing)
     require(bool(mark and end), f"{document} has no lines {opening.strip()} and {closing.strip()} to write between")
-    document.write_text(before + opening + "\n".join(markdown(claims)) + closing + after)
+    document.write_text(before + opening + "\n".join(markdown(claims, where)) + closing + after)
 
 
 def write(out: Path, name: str, data: xr.Dataset, figure: Figure, record: Mapping[str, Any]) -> list[Path]:

@@ -22,7 +22,7 @@ class CoherentMLT(Metropolised):
     The main chain is that of multiplexed MLT; a sub-chain keeps the technique and takes `length` steps, each with a
     packet of `tries` candidates around one point, for a renderer to trace together. What a packet deposits:
 
-    - `"published"`, section 5.2: R_g on the candidates and 1 - R_g on the competitors, by their weights. Biased for two
+    - `"published"`, section 5.2: R_g on the candidates and 1 - R_g on the competitors, by their light. Biased for two
       candidates or more (`packets.PublishedDeposit`): every step of a sub-chain starts from the target's law, so the
       image is off by what one packet's deposit is, in expectation over that law;
     - `"centre"`: the exact repair, candidates and state around an auxiliary centre, none rejected
