@@ -325,13 +325,13 @@ def judge(data: xr.Dataset) -> list[Claim]:
     claims.append(
         Claim(
             "mmlt.path-space-cost",
-            "Primary space mixes faster than path space, which makes no use of the techniques' maps",
+            "On this target primary space mixes faster than path space, which makes no use of the techniques' maps",
             f"{SOURCE}, sec. 3.1, 3.2",
             "holds" if times[1] < times[0] else "fails",
             "holds",
             f"IAT of x {times[0]:.1f} in path space, {times[1]:.1f} in primary; small steps accepted "
             f"{rates[0][0]:.2f} and {rates[1][0]:.2f}, changes {rates[0][1]:.2f} and {rates[1][1]:.2f}",
-            "measured on one target; no test",
+            "the fundamental matrix of both operators, exact for their nets; no test",
         )
     )
     right, feasible, dropped = (float(data.factor) * n / b - 1 for n in (4, 3, 1))

@@ -257,11 +257,11 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "imp.running-variance",
             "The running variance is proportional to the squared error of the pixels, unlike batch means (glints)",
             f"{PAPER}, sec. 4.3.3 to 4.3.5",
-            "fails" if min(running[1], inside[1]) > 2 * batch[1] and 0.5 < batch[0] < 1.5 else "holds",
+            "open" if not 0.5 < batch[0] < 1.5 else "fails" if min(running[1], inside[1]) > 2 * batch[1] else "holds",
             "fails",
             f"of the true variance: batch means {batch[0]:.2f} on average, 95th over 5th percentile {batch[1]:.1f}; "
             f"running {running[0]:.2f}, {running[1]:.0f} (f / p) and {inside[0]:.3f}, {inside[1]:.0f} (Eq. 2); rank "
             f"correlation of one run {batch[2]:.2f}, {running[2]:.2f}, {inside[2]:.2f}",
-            f"{data.sizes['pixel']} pixels; twice the batch means' percentiles",
+            f"{data.sizes['pixel']} pixels; twice the batch means' percentiles, which must be right on average",
         ),
     ]
