@@ -4,13 +4,7 @@ import equinox as eqx
 
 from mcmc1d.flatland.integrators.base import multiplexed
 from mcmc1d.flatland.integrators.chains import Metropolised
-from mcmc1d.flatland.mutations import (
-    BidirectionalMutation,
-    CausticPerturbation,
-    LensPerturbation,
-    MultiChainPerturbation,
-    Mutations,
-)
+from mcmc1d.flatland.mutations import veach
 from mcmc1d.flatland.mutations.base import layout
 from mcmc1d.flatland.mutations.bidirectional import deletions
 from mcmc1d.flatland.paths import Paths
@@ -45,16 +39,7 @@ class MLT(Metropolised):
         return multiplexed(paths, None, self.weights)
 
     def kernel(self) -> Kernel:
-        return Metropolis(
-            Mutations(
-                {
-                    "bidirectional": (self.bidirectional, BidirectionalMutation()),
-                    "lens": (self.lens, LensPerturbation()),
-                    "caustic": (self.caustic, CausticPerturbation()),
-                    "multi_chain": (self.multi_chain, MultiChainPerturbation()),
-                }
-            )
-        )
+        return Metropolis(veach(self.bidirectional, self.lens, self.caustic, self.multi_chain))
 
     def limits(self, techniques: int) -> tuple[float, float]:
         return 1.0, float(techniques)

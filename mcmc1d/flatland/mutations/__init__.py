@@ -5,15 +5,24 @@ from mcmc1d.flatland.mutations.bidirectional import BidirectionalMutation
 from mcmc1d.flatland.mutations.manifold import ManifoldStep
 from mcmc1d.flatland.mutations.perturbations import CausticPerturbation, LensPerturbation, MultiChainPerturbation
 
-VEACH = Mutations(
-    {
-        "bidirectional": (0.4, BidirectionalMutation()),
-        "lens": (0.25, LensPerturbation()),
-        "caustic": (0.2, CausticPerturbation()),
-        "multi_chain": (0.15, MultiChainPerturbation()),
-    }
-)
-"""All of Veach's, as `integrators.MLT` mixes them."""
+
+
+def veach(
+    bidirectional: float = 0.4, lens: float = 0.25, caustic: float = 0.2, multi_chain: float = 0.15
+) -> Mutations:
+    """All of Veach's, with these probabilities, which sum to one."""
+    return Mutations(
+        {
+            "bidirectional": (bidirectional, BidirectionalMutation()),
+            "lens": (lens, LensPerturbation()),
+            "caustic": (caustic, CausticPerturbation()),
+            "multi_chain": (multi_chain, MultiChainPerturbation()),
+        }
+    )
+
+
+VEACH = veach()
+"""As `integrators.MLT` mixes them."""
 
 EXAMPLES = {"veach": VEACH}
 
@@ -27,4 +36,5 @@ __all__ = [
     "MultiChainPerturbation",
     "Mutation",
     "Mutations",
+    "veach",
 ]
