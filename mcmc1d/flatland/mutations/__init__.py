@@ -6,10 +6,7 @@ from mcmc1d.flatland.mutations.manifold import ManifoldStep
 from mcmc1d.flatland.mutations.perturbations import CausticPerturbation, LensPerturbation, MultiChainPerturbation
 
 
-
-def veach(
-    bidirectional: float = 0.4, lens: float = 0.25, caustic: float = 0.2, multi_chain: float = 0.15
-) -> Mutations:
+def veach(bidirectional: float = 0.4, lens: float = 0.25, caustic: float = 0.2, multi_chain: float = 0.15) -> Mutations:
     """All of Veach's, with these probabilities, which sum to one."""
     return Mutations(
         {
