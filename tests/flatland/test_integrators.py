@@ -102,7 +102,7 @@ def test_rays_are_counted_and_a_jump_traces_none():
     ("changes", "message"),
     [
         ({"integrator": "bidirectional"}, "there is no integrator 'bidirectional'; known: pt, lt, bdpt"),
-        ({"lengths": (0, 1)}, "lengths are numbers of edges, 1 at least"),
+        ({"lengths": (0, 1)}, "lengths are different numbers of edges, 1 at least"),
         ({"samples": 1}, "samples must be 2 at least"),
     ],
 )
