@@ -246,7 +246,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     log_ratio = np.log(error[:, wide_step] / error[:, near])
     ratio_se = np.hypot(se[:, wide_step] / error[:, wide_step], se[:, near] / error[:, near])
     many, many_se = log_ratio[1:].mean(), np.hypot.reduce(ratio_se[1:]) / len(ratio_se[1:])
-    grows = log_ratio[0] > 2.5 * ratio_se[0] and many < -2.5 * many_se
+    grows = log_ratio[0] > 3 * ratio_se[0] and many < -3 * many_se
     last = error[-1]
     small, small_se = last[0] / last[best[-1]], np.hypot(se[-1, 0], se[-1, best[-1]]) / last[best[-1]]
     length, length_se = data.length_error.to_numpy(), data.length_se.to_numpy()
@@ -314,7 +314,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             + ", ".join(f"{SIZES[k]:g} (p = {p})" for k, p in zip(best, TRIES, strict=True))
             + f"; the error at {PAIR[1]:g} over that at {PAIR[0]:g}: {np.exp(log_ratio[0]):.2f} with one candidate, "
             f"{np.exp(many):.2f} with more",
-            f"the two sizes chosen beforehand; 2.5 standard errors, of {ratio_se[0]:.1%} and {many_se:.1%}",
+            f"the two sizes chosen beforehand; 3 standard errors, of {ratio_se[0]:.1%} and {many_se:.1%}",
         ),
         claim(
             "small-sigma",
