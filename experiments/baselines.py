@@ -45,7 +45,7 @@ class Config:
     """Of the test of last states, for each method."""
 
 
-PROFILES = {"quick": Config(), "paper": Config(chains=2048, steps=10_000, repeats=7, ensembles=16, ensemble_steps=5000)}
+PROFILES = {"quick": Config(), "paper": Config(chains=1024, steps=5000, repeats=5, ensembles=16, ensemble_steps=5000)}
 
 TRIES = 4
 

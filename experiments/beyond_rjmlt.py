@@ -16,7 +16,7 @@ from experiments.support.beyond_rjmlt_dimensions import RIGHT, TRANSDIMENSIONAL,
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import verdict
+from experiments.support.verdict import passes, verdict
 from mcmc1d import verify
 from mcmc1d.moves import LargeStep, Mixture, Move, Proposal, ReversibleJump, SmallStep
 from mcmc1d.moves.scaled import ScaledStep
@@ -247,7 +247,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     """What is right, each beside the mistake that it is easily taken for."""
     tested = f"level 1e-5; detects a CDF gap of {float(data.gap.max()):.3f} with probability 0.99"
     report = {str(name): data.sel(verified=name) for name in data.verified.to_numpy()}
-    passed = {name: str(one.verdict.values) == "PASS" for name, one in report.items()}
+    passed = {name: passes([one.verdict.values]) for name, one in report.items()}
     told = {name: f"{one.verdict.values!s}, p {float(one.p):.2g}" for name, one in report.items()}
     claims = []
     for jump, id_, statement in (
@@ -264,7 +264,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
                 id_,
                 statement,
                 f"{SOURCE}, sec. 8.2; Green 1995",
-                verdict(off < 8 and passed.get(jump, True)),
+                verdict(off < 8, passed.get(jump, True)),
                 "holds" if jump in RIGHT else "fails",
                 f"{told[jump]}; {number}" if jump in RIGHT else number,
                 f"{tested}; {held}" if jump in RIGHT else held,
@@ -276,7 +276,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "beyond.box-muller",
             "Box-Muller, two samples at once, has an exact inverse; jumps to and from it keep the law",
             f"{SOURCE}, sec. 8.1",
-            verdict(bool(ok) and passed["Box-Muller"]),
+            verdict(bool(ok), passed["Box-Muller"]),
             "holds",
             f"round trip {right:.1e}; {told['Box-Muller']}",
             f"contract, 1e-10 by condition; {tested}",
@@ -301,7 +301,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "beyond.scaled-step",
             "A step in u of size sigma p(x), with its determinant, keeps the law",
             f"{SOURCE}, sec. 8.2",
-            verdict(passed["scaled step"] and off[0] < 1e-3 + 2 * noise[0]),
+            verdict(passed["scaled step"], off[0] < 1e-3 + 2 * noise[0]),
             "holds",
             f"{told['scaled step']}; TV {off[0]:.1e} by the transition operator",
             f"{tested}; TV 1e-3 beyond twice the net's noise, {noise[0]:.1e}",

@@ -16,13 +16,14 @@ from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.ring_draw import RingDraw
 from experiments.support.sweep import Sweep
+from experiments.support.verdict import passes, verdict
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import Move, MultipleTry, SmallStep
 from mcmc1d.moves.multiple_try import LogWeight, SymmetricLambda, by_importance, by_target, evenly
 from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Uniform
-from mcmc1d.verify import RingStep, Verdict, deposit_law, enumerate_kernel, ring, verify
+from mcmc1d.verify import RingStep, deposit_law, enumerate_kernel, ring, verify
 from mcmc1d.verify.goodness import total_variation
 
 SOURCE = "Segovia et al. 2007"
@@ -238,7 +239,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         for name in ("net", "simulated")
     }
     said = {d: f"{data.verdict.sel(deposit=d).values}, p {float(data.p.sel(deposit=d)):.2g}" for d in DEPOSITS}
-    passed = {d: str(data.verdict.sel(deposit=d).values) == Verdict.PASS.value for d in DEPOSITS}
+    passed = {d: passes([data.verdict.sel(deposit=d).item()]) for d in DEPOSITS}
     only = " (its deposits alone)" if bool(data.only_deposits.sel(deposit="published")) else ""
     held = f"verify at 1e-5 detects a CDF gap of {float(data.gap.max()):.3f} with probability 0.99"
     three = np.abs(data.three.to_numpy())
@@ -254,7 +255,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "cmlt.deposit-unbiased",
             "Depositing all candidates with R_g, all competitors with 1 - R_g, is unbiased",
             f"{SOURCE}, sec. 5.2",
-            "holds" if published < 1e-12 and passed["published"] else "fails",
+            verdict(published < 1e-12, passed["published"]),
             "fails",
             f"a state is off by {relative.min():.1%} to {relative.max():.1%}, TV {published:.4f}; on the line, "
             f"p = {VERIFIED}: {said['published']}{only}",
@@ -310,7 +311,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "cmlt.repair",
             "The deposits on two states, and on p + 1 around an auxiliary centre, are unbiased",
             "Tjelmeland 2004; Calderhead 2014",
-            "holds" if repaired < 1e-12 and passed["two states"] and passed["auxiliary centre"] else "fails",
+            verdict(repaired < 1e-12, *(passed[d] for d in DEPOSITS[1:])),
             "holds",
             f"TV {repaired:.1e}; on the line, p = {VERIFIED}: {said['two states']}; {said['auxiliary centre']}",
             f"enumeration, 1e-12; {held}",

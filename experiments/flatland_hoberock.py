@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
 
-from experiments.multistage import ratio
 from experiments.support.flatland import draw_scene
 from experiments.support.flatland_stages import METHODS, Contest, Images
 from experiments.support.flatland_table1 import claims
 from experiments.support.framework import Claim
+from experiments.support.intervals import ratio
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing
 from mcmc1d.flatland.reference import image

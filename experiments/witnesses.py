@@ -13,7 +13,7 @@ from rich.table import Table
 
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import verdict
+from experiments.support.verdict import fails, passes, verdict
 from experiments.support.witnesses_cases import Case, cases
 from mcmc1d.moves import Move
 from mcmc1d.verify import check_move, deposit_law, transition_operator, verify
@@ -159,8 +159,8 @@ def judge(data: xr.Dataset) -> list[Claim]:
     keeps = data.keeps.to_numpy()
     limit = (data.tolerance + 2 * data.noise).to_numpy()
     kept, near = data.contract_kept.to_numpy(), data.tv.to_numpy() <= limit
-    passed, failed = data.verdict.to_numpy() == "PASS", data.verdict.to_numpy() == "FAIL"
-    acquitted, convicted = kept & near & passed, ~near & failed
+    said = data.verdict.to_numpy()
+    acquitted, convicted = kept & near & (said == "PASS"), ~near & (said == "FAIL")
     names = data.case.to_numpy()
     held = (
         f"contract, 1e-10 by condition; TV {float(data.tolerance):.0e} beyond twice the nets' noise, "
@@ -177,7 +177,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "witness.right",
             f"Contract, computed law and replicas agree that {right} kernels of the theories keep their law",
             "all five papers; the table of `witnesses` has each claim's three numbers",
-            verdict(bool(acquitted[keeps].all())),
+            verdict(bool((kept & near)[keeps].all()), passes(said[keeps])),
             "holds",
             f"{int(acquitted[keeps].sum())} of {right}; contracts {float(data.contract[keeps].max()):.2g} of their "
             f"tolerance at most, TV {float(data.tv[keeps].max()):.4f}, p {float(data.p[keeps].min()):.2g} at least"
@@ -188,7 +188,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "witness.wrong",
             f"Computed law and replicas agree that {wrong} others do not",
             "all five papers; the table of `witnesses` has each claim's three numbers",
-            verdict(bool(convicted[~keeps].all())),
+            verdict(not near[~keeps].any(), fails(said[~keeps])),
             "holds",
             f"{int(convicted[~keeps].sum())} of {wrong}; TV {float(data.tv[~keeps].min()):.4f} at least, "
             f"p {float(data.p[~keeps].max()):.1g} at most; the contract is broken in {int((~kept & ~keeps).sum())}, "

@@ -35,6 +35,19 @@ def wide_jit(function: F) -> F:
     return _Wide(wide, eqx.filter_jit(function))  # pyright: ignore[reportReturnType]
 
 
+def traced_once(function: Callable, *args: Any) -> tuple[Callable, Any]:
+    """The function of arrays, traced here for arguments like these, and the shapes of what it returns.
+
+    For a loop whose carry has to be made before its body runs: tracing is half of what a long program takes to compile.
+    """
+    program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+
+    def again(*args: Any) -> Any:
+        return jax.tree.unflatten(jax.tree.structure(shapes), jaxpr_as_fun(program)(*jax.tree.leaves(args)))
+
+    return again, shapes
+
+
 class _Wide:
     """The two compiled functions, and what has turned out to need the narrow one."""
 

@@ -57,9 +57,10 @@ def ladder(
 
 
 def even_log_prior(target: Target, betas: Sequence[float]) -> np.ndarray:
-    """Log k_i = -log of the integral of f^beta_i, by quadrature (1D targets): every rung is then equally likely."""
-    edges = np.asarray(target.domain, np.float64)
-    require(edges.shape == (2,), "even_log_prior: the integrals are known of 1D targets; give log_prior=")
+    """Log k_i = -log of the integral of f^beta_i, by quadrature: every rung is then equally likely."""
+    ends = np.asarray(target.domain, np.float64)
+    require(ends.size <= 4, "even_log_prior: the integrals are known on the line and in the plane; give log_prior=")
+    edges = ends if ends.ndim == 1 else tuple(ends.T)
     return -np.log([float(Tempered(target, beta).bin_masses(edges).sum()) for beta in betas])
 
 
@@ -77,36 +78,38 @@ def rung_of_one(betas: Sequence[float]) -> int:
 
 
 class Replicas(Target):
-    """prod_t f(x_t)^beta_t on n copies of a 1D domain: a point is all replicas, x_t the one at beta_t."""
+    """prod_t f(x_t)^beta_t on n copies of a domain: a point is all replicas end to end, x_t the one at beta_t."""
 
     target: Target
     betas: Float[Real, " n"] = eqx.field(converter=parameter)
 
     def __check_init__(self):
         require_instance(self.target, Target, "Replicas: the target")
-        require(np.ndim(self.target.domain[0]) == 0, "Replicas: the target's x must be a scalar")
         if is_concrete(self.betas):
             rung_of_one(np.asarray(self.betas).tolist())
 
     @property
     def domain(self) -> Corners:
-        n = self.betas.shape[0]
-        lower, upper = self.target.domain
-        return np.full(n, lower), np.full(n, upper)
+        lower, upper = (np.tile(np.atleast_1d(corner), self.betas.shape[0]) for corner in self.target.domain)
+        return lower, upper
 
     def log_f(self, x: Float[Array, " n"]) -> Scalar:
-        rungs = [Tempered(self.target, self.betas[t]).log_f(x[t]) for t in range(self.betas.shape[0])]
+        shape = np.shape(self.target.domain[0])
+        each = jnp.split(x, self.betas.shape[0])
+        rungs = [Tempered(self.target, self.betas[t]).log_f(own.reshape(shape)) for t, own in enumerate(each)]
         return jnp.stack(rungs).sum()
 
     def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
         """The exact integral over each box: `edges` of every coordinate, or one array for all; shape (bins, ...)."""
-        betas = np.asarray(self.betas)
-        each = [edges] * len(betas) if isinstance(edges, np.ndarray) and edges.ndim == 1 else list(edges)
-        require(len(each) == len(betas), f"Replicas: give the edges of {len(betas)} coordinates, not of {len(each)}")
+        betas, d = np.asarray(self.betas), np.size(self.target.domain[0])
+        n = d * len(betas)
+        each = [edges] * n if isinstance(edges, np.ndarray) and edges.ndim == 1 else list(edges)
+        require(len(each) == n, f"Replicas: give the edges of {n} coordinates, not of {len(each)}")
+        each = [rising(np.asarray(own), "Replicas.bin_masses") for own in each]
         masses = np.ones(())
-        for beta, own in zip(betas, each, strict=True):
-            row = Tempered(self.target, beta).bin_masses(rising(np.asarray(own), "Replicas.bin_masses"))
-            masses = masses[..., None] * row
+        for t, beta in enumerate(betas):
+            own = each[d * t : d * (t + 1)]
+            masses = np.multiply.outer(masses, Tempered(self.target, beta).bin_masses(own[0] if d == 1 else own))
         return masses
 
 
@@ -114,14 +117,15 @@ def replicas(target: Target, betas: Sequence[float], technique: Technique | None
     """Replica exchange: independent replicas at all temperatures at once, as one point of a product space.
 
     Steps of the coordinates (`moves.exchange.CoordinateStep`) leave their product invariant, and so does the swap of
-    two (`moves.exchange.Exchange`); coordinate `rung_of_one(betas)` has the law f / b. `technique` makes one
-    coordinate from one number; `Uniform` unless given.
+    two, `moves.exchange.Exchange(technique.dim_u)`; replica `rung_of_one(betas)` has the law f / b. `technique` makes
+    one replica's x; `Uniform` unless given.
     """
     technique = Uniform() if technique is None else technique
+    made, wanted = sample_shape(technique), np.shape(target.domain[0])
     require(
-        technique.dim_u == 1 and sample_shape(technique) == (),
-        f"replicas: the technique must make a scalar from one number; {type(technique).__name__} reads "
-        f"{technique.dim_u}",
+        made == wanted,
+        f"replicas: the technique must make one replica's x, of shape {wanted}; {type(technique).__name__}'s is of "
+        f"shape {made}",
     )
     return Multiplexed(Replicas(target, betas), Product((technique,) * len(betas)))
 

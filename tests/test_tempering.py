@@ -10,11 +10,12 @@ import mcmc1d
 from mcmc1d import tempering, weights
 from mcmc1d.metropolis import OfMove
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange, TechniqueChange
-from mcmc1d.moves.exchange import CoordinateStep, Exchange
+from mcmc1d.moves.exchange import CoordinateStep, Exchange, ReplicaStep
 from mcmc1d.pooled import Floored, Pooled, PooledDeposit, floored, integral, pooled, samples
 from mcmc1d.targets import FromFunction, Sinusoid, Tabulated
+from mcmc1d.targets.planar import two_ridges
 from mcmc1d.targets.tempered import Sum, Tempered
-from mcmc1d.techniques import Inversion, Ramp, Tent, Uniform
+from mcmc1d.techniques import Inversion, Ramp, Rectangle, Tent, Uniform
 from mcmc1d.techniques.product import Product
 from mcmc1d.verify import RingStep, deposit_law, enumerate_kernel, ring, transition_operator, verify
 
@@ -133,6 +134,33 @@ def test_masses_of_replicas_are_products():
     masses = tempering.Replicas(SINUSOID, [1.0, 0.5]).bin_masses(EDGES)
     rows = [Tempered(SINUSOID, b).bin_masses(EDGES) for b in (1.0, 0.5)]
     assert np.allclose(masses, np.outer(*rows), rtol=1e-10)
+
+
+def test_replicas_in_the_plane_are_points_end_to_end():
+    f, x = two_ridges(), np.array([0.3, 0.4, 0.7, 0.2])
+    pair = tempering.replicas(f, [1.0, 0.5], Rectangle())
+    log_f = [float(f.log_f(jnp.asarray(part))) for part in (x[:2], x[2:])]
+    assert float(pair.target.log_f(jnp.asarray(x))) == pytest.approx(log_f[0] + 0.5 * log_f[1], rel=1e-5)
+    edges = np.linspace(0, 1, 3)
+    rows = [Tempered(f, b).bin_masses((edges, edges)) for b in (1.0, 0.5)]
+    assert np.allclose(pair.target.bin_masses(edges), np.multiply.outer(*rows), rtol=1e-9)
+    swap = Mixture({"step": (0.7, ReplicaStep(SmallStep(0.2), 2)), "swap": (0.3, Exchange(2))})
+    assert verify(swap, pair, replicas=2**13).passed
+
+
+def test_a_swap_in_the_plane_that_is_always_made_is_caught():
+    pair = tempering.replicas(two_ridges(), [1.0, 0.1], Rectangle())
+    walk = ReplicaStep(SmallStep(0.2), 2)
+    assert verify(mcmc1d.Cycle([walk, _AlwaysSwaps()]), pair, replicas=2**15).failures
+
+
+def test_the_rungs_of_a_planar_ladder_are_equally_likely():
+    f, edges = two_ridges(), np.array([0.0, 1.0])
+    log_prior = tempering.even_log_prior(f, [1.0, 0.3, 0.0])
+    integrals = [
+        Tempered(f, b, k).bin_masses((edges, edges)).sum() for b, k in zip((1, 0.3, 0), log_prior, strict=True)
+    ]
+    assert np.allclose(integrals, 1, rtol=1e-9)
 
 
 # --- parts, path space ----------------------------------------------------------------------------------------------
@@ -266,7 +294,7 @@ def test_the_floor_of_a_number_is_an_index():
         (lambda: tempering.ladder(SINUSOID, [1.0, 0.5], log_prior=[0.0]), "2 rungs must be 2 numbers"),
         (lambda: tempering.ladder(SINUSOID, []), "list of inverse temperatures"),
         (lambda: tempering.Replicas(SINUSOID, [0.5]), "does not contain the temperature 1"),
-        (lambda: tempering.replicas(SINUSOID, [1.0], Product((Ramp(), Ramp()))), "a scalar from one number"),
+        (lambda: tempering.replicas(SINUSOID, [1.0], Product((Ramp(), Ramp()))), r"one replica's x, of shape \(\)"),
         (lambda: tempering.over_parts([SINUSOID], [Tent(), Ramp()]), "1 targets need 1 techniques"),
         (lambda: tempering.ladder(SINUSOID, [1.0], log_prior=[np.inf]), "log_scale must be finite"),
         (lambda: Tempered(SINUSOID, -1.0), "beta is an inverse temperature"),

@@ -4,25 +4,14 @@ import numpy as np
 import xarray as xr
 from scipy.stats import t as student
 
-from experiments.multistage import ratio
 from experiments.support.framework import Claim
+from experiments.support.intervals import DECIDES, Ratio, over, ratio, shown, under
 from experiments.support.verdict import among, verdict
 
 STAGES = ("MMLT", "NAMLT")
 DOOR = "holds if the scene is door"
 """Expected is what was found in the plane, where theory says nothing: in a box whose paths are easy to find, sixteen
 runs hardly tell a gain from even samples."""
-Ratio = tuple[float, float, float]
-"""A ratio of two means, and its interval."""
-_MISS = 1e-4
-"""Of an interval that decides; those that are shown are of 95 %."""
-
-
-def _under(limit: float, ratios: list[Ratio]) -> bool | None:
-    """Whether all ratios are under the limit; None where that is not decided."""
-    if all(high < limit for _, _, high in ratios):
-        return True
-    return False if any(low > limit for _, low, _ in ratios) else None
 
 
 def claims(data: xr.Dataset, source: str) -> list[Claim]:
@@ -30,18 +19,18 @@ def claims(data: xr.Dataset, source: str) -> list[Claim]:
     names, level = [str(name) for name in data.scene.to_numpy()], float(data.level)
     cells = int(data.image.mean("run").size)
     far = float(student.isf(1e-5 / (2 * cells), data.sizes["run"] - 1))  # of Student's t, in any of the pixels
-    held = f"t interval, shown of 95 %, deciding at {_MISS:g}; {data.sizes['run']} runs"
+    held = f"t interval, shown of 95 %, deciding at {DECIDES:g}; {data.sizes['run']} runs"
 
     def of(column: str, scene: str, method: str) -> np.ndarray:
         return data[column].sel(scene=scene, algorithm=method).to_numpy()
 
-    def over(
+    def ratios(
         column: str, methods: tuple[str, ...], rivals: tuple[str, ...], scene: str, miss: float = 0.05
     ) -> dict[str, Ratio]:
         return {f"{m}/{r}": ratio(of(column, scene, m), of(column, scene, r), miss) for m in methods for r in rivals}
 
     def sure(column: str, methods: tuple[str, ...], rivals: tuple[str, ...], scene: str) -> list[Ratio]:
-        return list(over(column, methods, rivals, scene, _MISS).values())
+        return list(ratios(column, methods, rivals, scene, DECIDES).values())
 
     def compared(
         name: str,
@@ -55,8 +44,8 @@ def claims(data: xr.Dataset, source: str) -> list[Claim]:
         limit: float = 1.0,
     ) -> Claim:
         """Whether every ratio of a method to a rival is under the limit, with its interval, scene by scene."""
-        found = {scene: over(column, methods, rivals, scene) for scene in names}
-        true = {scene: _under(limit, sure(column, methods, rivals, scene)) for scene in names}
+        found = {scene: ratios(column, methods, rivals, scene) for scene in names}
+        true = {scene: under(limit, *sure(column, methods, rivals, scene)) for scene in names}
         return Claim(
             name,
             statement,
@@ -69,10 +58,10 @@ def claims(data: xr.Dataset, source: str) -> list[Claim]:
 
     z = np.abs(data.image.mean("run") - data.exact) / (data.image.std("run", ddof=1) / data.sizes["run"] ** 0.5)
     spread = (data.image.std("run", ddof=1) / data.sizes["run"] ** 0.5).mean("pixel") / data.exact.mean("pixel")
-    erpt = {scene: over("variance", ("ERPT",), ("MLT",), scene) for scene in names}
+    erpt = {scene: ratios("variance", ("ERPT",), ("MLT",), scene) for scene in names}
     skews = {scene: [float(of("skew", scene, m).mean()) for m in ("ERPT", "MLT")] for scene in names}
-    absolute = {scene: over("error", STAGES, ("MLT",), scene) for scene in names}
-    visual = {scene: over("visual", ("MMLT",), ("MLT",), scene) for scene in names}
+    absolute = {scene: ratios("error", STAGES, ("MLT",), scene) for scene in names}
+    visual = {scene: ratios("visual", ("MMLT",), ("MLT",), scene) for scene in names}
     shadow = {scene: {m: of("shadow", scene, m) for m in ("path", "ERPT", "MLT")} for scene in names}
     ordered = {
         scene: all(_apart(one[a], one[b]) > level for a, b in (("path", "ERPT"), ("ERPT", "MLT")))
@@ -114,7 +103,7 @@ def claims(data: xr.Dataset, source: str) -> list[Claim]:
             "plane.erpt-even",
             "ERPT's samples stratify no better than MLT's",
             f"{source}, sec. 5.3, table 1",
-            among({scene: _over(0.9, sure("variance", ("ERPT",), ("MLT",), scene)) for scene in names}),
+            among({scene: over(0.9, *sure("variance", ("ERPT",), ("MLT",), scene)) for scene in names}),
             "holds",
             "; ".join(
                 f"{scene}: variance {_listed(one)}, skew {skews[scene][0]:.2f} and {skews[scene][1]:.2f}"
@@ -163,7 +152,7 @@ def claims(data: xr.Dataset, source: str) -> list[Claim]:
             "plane.stages-absolute",
             "Multi-stage and noise-aware raise the absolute (squared) error against MLT",
             f"{source}, sec. 5.3, table 1",
-            among({scene: _over(1.0, sure("error", STAGES, ("MLT",), scene)) for scene in names}),
+            among({scene: over(1.0, *sure("error", STAGES, ("MLT",), scene)) for scene in names}),
             "fails",
             "; ".join(f"{scene}: {_listed(one)}" for scene, one in absolute.items())
             + " (1.08 and 1.07, 10 and 7 there)",
@@ -175,9 +164,7 @@ def claims(data: xr.Dataset, source: str) -> list[Claim]:
             f"{source}, sec. 5.3",
             among(
                 {
-                    s: _under(
-                        1.0, [*(one for c in ("acceptance", "visual") for one in sure(c, ("MMLT",), ("MLT",), s))]
-                    )
+                    s: under(1.0, *(one for c in ("acceptance", "visual") for one in sure(c, ("MMLT",), ("MLT",), s)))
                     for s in names
                 }
             ),
@@ -205,13 +192,8 @@ def claims(data: xr.Dataset, source: str) -> list[Claim]:
     ]
 
 
-def _over(limit: float, ratios: list[Ratio]) -> bool | None:
-    """Whether all ratios are over the limit; None where that is not decided."""
-    return _under(1 / limit, [(1 / middle, 1 / high, 1 / low) for middle, low, high in ratios])
-
-
-def _listed(ratios: dict[str, Ratio]) -> str:
-    return ", ".join(f"{name} {middle:.3g} [{low:.3g}, {high:.3g}]" for name, (middle, low, high) in ratios.items())
+def _listed(found: dict[str, Ratio]) -> str:
+    return ", ".join(f"{name} {shown(one)}" for name, one in found.items())
 
 
 def _apart(above: np.ndarray, below: np.ndarray) -> float:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import mcmc1d
-from mcmc1d.moves import Move, MultipleTry, Rotated, Stratified
+from mcmc1d.moves import Antithetic, Move, MultipleTry, Rotated, Stratified
 from mcmc1d.moves.candidates import Candidates, Reverse, insert
 from mcmc1d.moves.multiple_try import SymmetricLambda, by_importance, evenly
 from mcmc1d.types import Index
@@ -67,13 +67,15 @@ class OtherStrata(Candidates):
 
 
 class FreshCompetitors(Candidates):
-    """Quasi-random candidates, and competitors that are independent of where the way back lies."""
+    """Candidates that one vector makes, and competitors that are independent of where the way back lies."""
+
+    together: Candidates
 
     def dim(self, p: int, r: int) -> int:
         return p * r
 
     def forth(self, p: int, r: int, w: jax.Array) -> jax.Array:
-        return Rotated().forth(p, r, w[:r])
+        return self.together.forth(p, r, w[:r])
 
     def back(self, p: int, r: int, w: jax.Array, k: Index, number: jax.Array) -> Reverse:
         return Reverse(insert(w[r:].reshape(p - 1, r), number, k), k, w)
@@ -92,8 +94,8 @@ def rings() -> dict[str, tuple[Move, list[int | None]]]:
     made["strata: left free"] = MultipleTry(RING_STEP, 2, by_importance, Stratified()), [2, 2, 2, None, None]
     made["strata: all but the chosen"] = MultipleTry(RING_STEP, 2, by_importance, OtherStrata()), [2, 2, 2, None, None]
     made["quasi-random: rotated"] = MultipleTry(RING_STEP, 2, by_importance, Rotated()), [None, None, None]
-    made["quasi-random: independent"] = (
-        MultipleTry(RING_STEP, 2, by_importance, FreshCompetitors()),
-        [None, 4, None, None],
-    )
+    fresh = FreshCompetitors(Rotated()), FreshCompetitors(Antithetic())
+    made["quasi-random: independent"] = MultipleTry(RING_STEP, 2, by_importance, fresh[0]), [None, 4, None, None]
+    made["antithetic: opposite"] = MultipleTry(RING_STEP, 2, by_importance, Antithetic()), [4, None, None]
+    made["antithetic: independent"] = MultipleTry(RING_STEP, 2, by_importance, fresh[1]), [4, 4, None, None]
     return made

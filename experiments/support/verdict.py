@@ -1,9 +1,25 @@
 """A verdict in a word."""
 
+from collections.abc import Iterable
+from typing import Any
 
-def verdict(condition: bool) -> str:
-    """What to say of a claim that was found to be true, or not to be."""
-    return "holds" if condition else "fails"
+
+def passes(said: Iterable[Any]) -> bool | None:
+    """Whether all verifications passed that said these words; None where none failed, and one was inconclusive."""
+    words = {str(word) for word in said}
+    return False if "FAIL" in words else None if "INCONCLUSIVE" in words else True
+
+
+def fails(said: Iterable[Any]) -> bool | None:
+    """Whether all of them failed; None where none passed, and one was inconclusive."""
+    return passes({"PASS": "FAIL", "FAIL": "PASS"}.get(str(word), word) for word in said)
+
+
+def verdict(*conditions: bool | None) -> str:
+    """What to say of a claim that all of this is true of: "open" where none is false, and one (None) not decided."""
+    if any(condition is not None and not condition for condition in conditions):
+        return "fails"
+    return "open" if None in conditions else "holds"
 
 
 def among(true: dict[str, bool] | dict[str, bool | None]) -> str:

@@ -95,13 +95,15 @@ _TRIED = {
     "other strata": ("mtm.strata-all-but-chosen", "all strata but the chosen"),
     "fresh competitors": ("mtm.quasi-random-independent", "quasi-random, fresh competitors"),
     "rotated": ("mtm.quasi-random-rotated", "quasi-random, rotated"),
+    "fresh opposite": ("mtm.antithetic-independent", "antithetic, fresh competitor"),
+    "antithetic": ("mtm.antithetic-opposite", "antithetic, opposite competitor"),
     "even weights": ("mtm.intervals", "even weights, intervals"),
 }
 
 
 def _multiple_try() -> dict[str, Case]:
     tried = mtm_lambda.moves_on_the_line(0.2)
-    right = ("right", "rotated", "even weights")
+    right = ("right", "rotated", "antithetic", "even weights")
     made = {text: Case(claim, tried[name], mtm_lambda.LINE, name in right) for name, (claim, text) in _TRIED.items()}
     clamped = TruncatedStep(0.2)
     return {"clamped, with its normaliser": Case("mtm.clamped-with", clamped, mtm_lambda.LINE), **made}

@@ -192,7 +192,7 @@ def _require_symmetric(move: MultipleTry, target: Multiplexed, probes: int = 64)
         gap = forth - back - (y.state.seen.log_c - x.seen.log_c + y.log_det)
         return jnp.where(possible(y) & (x.seen.log_c > -jnp.inf), jnp.abs(gap), 0)
 
-    gaps = np.asarray(jax.vmap(asymmetry)(index, u, w))
+    gaps = np.asarray(eqx.filter_jit(jax.vmap(asymmetry))(index, u, w))
     bad = ~(gaps < 1e-3)
     if bad.any():
         k = int(np.argmax(bad))

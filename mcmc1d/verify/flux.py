@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,15 @@ _FEW = 32  # points of a net, that start in cells which none of them leaves: too
 _BATCH = 2**17
 
 
+class Starts(NamedTuple):
+    """Where a net has started, and what was there."""
+
+    cell: np.ndarray
+    index: np.ndarray
+    x: np.ndarray
+    weight: np.ndarray
+
+
 @dataclass(frozen=True)
 class Flux:
     """The share of the target's mass that goes from each cell to each, estimated by several scrambles of the net."""
@@ -39,8 +48,8 @@ class Flux:
     by_kind: Float[np.ndarray, "scrambles kinds c c"]
     """The same for each kind of move between coarse cells (index, interval of the first coordinate), stays left out."""
     kinds: tuple[str, ...]
-    points: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-    """Of some of the starts, one at least in each cell: the cell, the index, x, and the weight."""
+    points: tuple[Starts, ...]
+    """Some of each scramble's starts, one at least in each cell."""
 
 
 @wide_jit
@@ -155,7 +164,7 @@ def measure(
                 words = jnp.asarray(sobol(each.dim, log2, np.random.default_rng([seed, r, index, each.lead])))
                 for first in range(0, count, batch):
                     at = (jnp.uint32(first), jnp.int32(index), (batch, counts, dtype))
-                    total.add(_batch(each, words, edges, *at), allowed, r == 0 and first == 0, each.lead == 0)
+                    total.add(_batch(each, words, edges, *at), allowed, first == 0, each.lead == 0)
     return _gather(cells, sums, flux.kinds)
 
 
@@ -171,17 +180,21 @@ def _gather(cells: Cells, sums: list[_Sums], kinds: tuple[str, ...]) -> Flux:
         "or take fewer cells; if it stays so, the target's density is zero there, and the law it would have unknown",
     )
     used = np.flatnonzero((np.diff(reached.indptr) > 0) | (np.asarray(reached.sum(0)).ravel() > 0))
-    place, x, weight = (np.concatenate(parts) for parts in zip(*sums[0].kept, strict=True))
     # Every cell has one point at least, of a weight that does not matter where there are others.
     seen = [np.flatnonzero(~np.isnan(s.representative.reshape(s.size, -1)).any(1)) for s in sums]
-    place = np.concatenate([place, *seen])
-    x = np.concatenate([x, *(s.representative[known] for s, known in zip(sums, seen, strict=True))])
-    weight = np.concatenate([weight, np.full(len(place) - len(weight), 1e-6 * weight.mean())])
+    spare = np.concatenate(seen), np.concatenate([s.representative[k] for s, k in zip(sums, seen, strict=True)])
+
+    def starts_of(one: _Sums) -> Starts:
+        place, x, weight = (np.concatenate(parts) for parts in zip(*one.kept, strict=True))
+        place, x = np.concatenate([place, spare[0]]), np.concatenate([x, spare[1]])
+        weight = np.concatenate([weight, np.full(len(spare[0]), 1e-6 * weight.mean())])
+        return Starts(np.searchsorted(used, place), place // (one.size // cells.n_index), x, weight)
+
     coarse = sums[0].coarse
     return Flux(
         dataclasses.replace(cells, used=used),
         tuple((matrix[used][:, used] / s.mass).tocsr() for matrix, s in zip(scrambles, sums, strict=True)),
         np.stack([s.by_kind.reshape(-1, coarse, coarse) / s.mass for s in sums]),
         kinds,
-        (np.searchsorted(used, place), place // (sums[0].size // cells.n_index), x, weight),
+        tuple(starts_of(one) for one in sums),
     )

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.compiling import wide_jit
+from mcmc1d.compiling import traced_once, wide_jit
 from mcmc1d.numerics import require
 from mcmc1d.types import Array, Key
 from mcmc1d.verify.law import Position
@@ -214,7 +214,8 @@ def _advance(
     def batch(states: Any, t: Array) -> tuple[Any, Any]:
         return jax.vmap(one, in_axes=(0, 0, None))(keys, states, t)
 
-    empty = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(batch, states, first)[1])
+    batch, (_, shapes) = traced_once(batch, states, first)
+    empty = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     states, picked = jax.lax.fori_loop(first, last, lambda t, carry: batch(carry[0], t), (states, empty))
     return states, jax.vmap(kernel.where)(states), picked
 

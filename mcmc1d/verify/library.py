@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.compiling import wide_jit
+from mcmc1d.compiling import traced_once, wide_jit
 from mcmc1d.metropolis import Cycle, Kernel, Metropolis
 from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
@@ -66,15 +66,15 @@ def _advance_library(
 ) -> tuple[State, Any, Any]:
     n, dtype, (first, last) = state.u.shape[0], state.u.dtype, span
 
-    def body(t: Array, carry: tuple[State, Any]) -> tuple[State, Any]:
-        step = _library_step(key, kernel, target, carry[0], t)
+    def one(states: State, t: Array) -> tuple[State, Any]:
+        step = _library_step(key, kernel, target, states, t)
         return step.state, step.deposits
 
     states = jax.vmap(target.evaluate, out_axes=-1)(state)
-    shapes = jax.eval_shape(lambda s: body(first, (s, None))[1], states)
+    one, (_, shapes) = traced_once(one, states, first)
     none = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     # The deposits ride along, though only the last step's are looked at: so the step is compiled once.
-    after, deposits = jax.lax.fori_loop(first, last, body, (states, none))
+    after, deposits = jax.lax.fori_loop(first, last, lambda t, carry: one(carry[0], t), (states, none))
     points = {"index": deposits.index, "x": deposits.x}
     uniform = uniforms(key, last + PICK, (1, n), dtype)[0]
     picked = jax.vmap(pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, most)

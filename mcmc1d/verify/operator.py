@@ -19,7 +19,7 @@ from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
-from mcmc1d.verify.flux import Flux, measure
+from mcmc1d.verify.flux import Flux, Starts, measure
 from mcmc1d.verify.outcomes import KernelFlux, StepFlux, find_atoms
 from mcmc1d.verify.sparse import Matrix, eigenvalues, poisson, stationary, transition
 
@@ -109,10 +109,12 @@ class Operator:
         Raises `ValueError` where the net was too small to find it.
         """
         edges = np.asarray(edges, np.float64)
-        inside = self._inside(edges, function)
-        fine, coarse = np.arange(inside.shape[0]), self.flux.cells.coarser()
+        # A scramble's own starts say how x is spread inside the cells, so that the spread of the laws knows of it.
+        spreads = [self._inside(edges, function, starts) for starts in self.flux.points]
+        together = sp.csr_matrix(sum(spreads[1:], spreads[0]))
+        fine, coarse = np.arange(together.shape[0]), self.flux.cells.coarser()
 
-        def law(flux: Matrix, labels: np.ndarray) -> np.ndarray:
+        def law(flux: Matrix, labels: np.ndarray, inside: Matrix) -> np.ndarray:
             group = sp.csr_matrix((np.ones(len(labels)), (labels, np.arange(len(labels)))))
             spread = group @ inside
             rows = np.asarray(spread.sum(1)).ravel()
@@ -120,9 +122,9 @@ class Operator:
             shares = np.asarray(np.divide(mu, rows, out=np.zeros_like(mu), where=rows > 0) @ spread)
             return (shares / shares.sum()).reshape(self.flux.cells.n_index, -1)
 
-        each = np.stack([law(flux, fine) for flux in self.flux.scrambles])
-        here = law(self.mean_flux, fine)
-        masses = (4 * here - law(self.mean_flux, coarse)) / 3
+        each = np.stack([law(flux, fine, own) for flux, own in zip(self.flux.scrambles, spreads, strict=True)])
+        here = law(self.mean_flux, fine, together)
+        masses = (4 * here - law(self.mean_flux, coarse, together)) / 3
         error = each.std(0, ddof=1) / _c4(len(each)) / np.sqrt(len(each))
         # The mean absolute deviation of a normal number of each standard error.
         noise = float(error.sum() * np.sqrt(2 / np.pi) / 2)
@@ -182,7 +184,7 @@ class Operator:
         """Var(g), and the sum of the covariances at the lags from 1 on, in the kernel's own law."""
         mu = self.stationary()
         if callable(g):
-            cell, _, x, weight = self.flux.points
+            cell, _, x, weight = (np.concatenate(parts) for parts in zip(*self.flux.points, strict=True))
             y = np.asarray(g(x), np.float64)
             require(y.shape == cell.shape, f"g must map x of shape {x.shape} to numbers of shape {cell.shape}")
             count = len(mu)
@@ -197,9 +199,9 @@ class Operator:
         variance = float(mu @ square - centre**2)
         return variance, float((mu * (mean - centre)) @ poisson(self.mean_flux, mu, mean - centre))
 
-    def _inside(self, edges: np.ndarray, function: Function | None) -> Matrix:
+    def _inside(self, edges: np.ndarray, function: Function | None, starts: Starts) -> Matrix:
         """The weight of the kept starts by (cell, index and bin): how x is spread inside each cell."""
-        cell, index, x, weight = self.flux.points
+        cell, index, x, weight = starts
         y = np.asarray(x if function is None else function(x), np.float64)
         require(y.shape == cell.shape, f"law_of: x has shape {x.shape[1:]}; give a function of it that is a scalar")
         n, bins = self.mean_flux.shape[0], len(edges) - 1

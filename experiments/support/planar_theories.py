@@ -1,0 +1,112 @@
+"""The theories' kernels on a planar target, each put to `verify`, a wrong one beside them."""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from experiments.support.framework import Claim
+from experiments.support.verdict import passes, verdict
+from mcmc1d import tempering
+from mcmc1d.importance import Product, Regions
+from mcmc1d.metropolis import Kernel
+from mcmc1d.moves import LargeStep, Mixture, Move, MultipleTry, SmallStep, StepAndChange
+from mcmc1d.moves.exchange import Exchange, ReplicaStep
+from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
+from mcmc1d.pooled import PooledDeposit, pooled
+from mcmc1d.state import Multiplexed
+from mcmc1d.subchain import SubChain
+from mcmc1d.targets.planar import two_ridges
+from mcmc1d.techniques import ConcentricDisk, Rectangle
+from mcmc1d.verify import verify
+
+CANDIDATES = 4
+RARE = np.array([[1.0, 4.0], [0.5, 2.0]])
+"""What an importance function makes of four regions."""
+
+
+class Theory(NamedTuple):
+    """A kernel, of which is said that its states, or what it deposits, have its target's law."""
+
+    statement: str
+    source: str
+    kernel: Move | Kernel
+    target: Multiplexed
+    expected: str = "holds"
+
+
+def theories() -> dict[str, Theory]:
+    """By name; f is two ridges across the square, made by a rectangle and a disk around it."""
+    f, small = two_ridges(), SmallStep(0.1)
+    both = Multiplexed(f, (Rectangle(), ConcentricDisk((0.5, 0.5), 0.71)))
+    swap = Mixture({"step": (0.7, ReplicaStep(SmallStep(0.2), 2)), "swap": (0.3, Exchange(2))})
+    segovia, hachisuka = "Segovia et al. 2007", "Hachisuka et al. 2014"
+    return {
+        "ladder": Theory(
+            "Serial tempering has the law of (rung, x)",
+            "Marinari, Parisi 1992",
+            StepAndChange(small),
+            tempering.ladder(f, (1.0, 0.3), Rectangle()),
+        ),
+        "replica-exchange": Theory(
+            "Replica exchange keeps the product law",
+            "Geyer 1991; Swendsen, Wang 1986",
+            swap,
+            tempering.replicas(f, (1.0, 0.3), Rectangle()),
+        ),
+        "pssmlt": Theory(
+            "PSSMLT's deposits by all techniques, over the sum of their contributions, have the law of f",
+            f"{hachisuka}, Alg. 1",
+            PooledDeposit(small),
+            pooled(both, "sum"),
+        ),
+        "auxiliary-centre": Theory(
+            "Depositing all candidates around an auxiliary centre is unbiased",
+            "Tjelmeland 2004; Calderhead 2014",
+            AuxiliaryCentre(small, CANDIDATES),
+            both,
+        ),
+        "published-deposit": Theory(
+            "Depositing all candidates with R_g, all competitors with 1 - R_g, is unbiased",
+            f"{segovia}, sec. 5.2",
+            PublishedDeposit(MultipleTry(small, CANDIDATES)),
+            both,
+            "fails",
+        ),
+        "sub-chain": Theory(
+            "A sub-chain split from a main chain deposits the law",
+            f"{segovia}, sec. 5.2",
+            SubChain(LargeStep(), small, CANDIDATES),
+            both,
+        ),
+        "importance": Theory(
+            "A chain samples f times a table of regions",
+            "Hoberock and Hart 2010, Alg. 1",
+            StepAndChange(small),
+            Multiplexed(Product((f, Regions(RARE, 2))), (Rectangle(), ConcentricDisk((0.5, 0.5), 0.71))),
+        ),
+    }
+
+
+def put_to_verify(name: str, replicas: int, seed: int) -> dict[str, str | float]:
+    """What `verify` says of one of them."""
+    theory = theories()[name]
+    report = verify(theory.kernel, theory.target, replicas=replicas, seed=seed, name=name)
+    return {"theory_verdict": report.verdict.value, "theory_p": report.p_value, "theory_gap": report.gap}
+
+
+def claims(data: xr.Dataset) -> list[Claim]:
+    """A row for each."""
+    return [
+        Claim(
+            f"planar.{name}",
+            f"In the plane too: {theory.statement[0].lower()}{theory.statement[1:]}",
+            theory.source,
+            verdict(passes([here.theory_verdict.item()])),
+            theory.expected,
+            f"verify {here.theory_verdict.item()}, p {float(here.theory_p):.2g}",
+            f"level 1e-5; a CDF gap of {float(here.theory_gap):.3f} seen with probability 0.99",
+        )
+        for name, theory in theories().items()
+        for here in [data.sel(theory=name)]
+    ]
