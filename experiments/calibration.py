@@ -20,10 +20,10 @@ from mcmc1d.verify.mutants.memory import depositing
 class Config:
     """The experiment's numbers."""
 
-    runs: int = 500
+    runs: int = 300
     """Verifications of a right kernel at the default level, for their first-stage p-values."""
     replicas: int = 512
-    alarms: int = 500
+    alarms: int = 300
     """Verifications at the exaggerated level."""
     level: float = 0.05
     confidence: float = 0.999

@@ -28,9 +28,7 @@ class Config:
 
     seconds: float = 10.0
     """What a first stage may take: the gap that it buys is part of the result."""
-    kernels: str = (
-        "random walk; NUTS, banana; HMC, lopsided; StretchMove; StretchMove, 3D normal; DESnookerMove, 3D normal"
-    )
+    kernels: str = "random walk; HMC, lopsided; StretchMove, 3D normal; DESnookerMove, 3D normal"
     """Names, apart by semicolons, or "all"."""
 
 

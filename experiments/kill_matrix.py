@@ -13,6 +13,7 @@ import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
 from mcmc1d.moves import Mixture, Move, ReversibleJump, SmallStep
+from mcmc1d.numerics import require
 from mcmc1d.targets import GaussianMixture
 from mcmc1d.techniques import Technique, Tent
 from mcmc1d.verify import (
@@ -39,24 +40,29 @@ class Config:
     trap_seeds: int = 1
     sweep_seeds: int = 1
     """Seeds a severity of the power curve."""
+    every: int = 3
+    """Every so many mutants and traps; 1 is all of them, as in the tests."""
     full: bool = False
     """Also the chains of which wrong moves are a part, and the severities that no claim is about."""
 
+    def __post_init__(self) -> None:
+        require(self.every >= 1, f"every is a whole number from 1 on, not {self.every}")
 
-PROFILES = {"quick": Config(), "paper": Config(seeds=59, trap_seeds=3, sweep_seeds=6, full=True)}
+
+PROFILES = {"quick": Config(), "paper": Config(seeds=59, trap_seeds=3, sweep_seeds=6, every=1, full=True)}
 
 SEVERITIES = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2, 0.4)
 """eps: the log correction of a MALA kernel is multiplied by 1 + eps."""
 
-CLAIMED = (-0.4, -0.2, 0.0, 0.2, 0.4)
+CLAIMED = (-0.2, 0.0, 0.2)
 
 SECONDS = 120.0
 """`verify`'s first stages may take this long: what its default of 40 buys on two idle cores, on one that is shared."""
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
-    """Catch every mutant, let every trap and every right twin pass, and sweep one mistake's severity."""
-    wrong, right = mutants(), traps()
+    """Catch the mutants, let the traps pass, and sweep one mistake's severity."""
+    wrong, right = (dict(list(known.items())[:: config.every]) for known in (mutants(), traps()))
     severities = SEVERITIES if config.full else CLAIMED
     layers = progress.map("mutants", catches, [(name, seed, config.seeds, config.full) for name in wrong])
     caught = np.array([[[layer in found for layer in LAYERS] for found in seeds] for seeds, _ in layers])

@@ -25,7 +25,7 @@ from mcmc1d.verify.goodness import total_variation
 class Config:
     """The experiment's numbers; cases are names, or "all"."""
 
-    cases: str = "multiplexed, balance; ladder, lopsided prior; figure 3, full; figure 3, no Jacobian; auxiliary centre"
+    cases: str = "multiplexed, balance; figure 3, no Jacobian; auxiliary centre"
     """Names, apart by semicolons, or "all"."""
     checked: int = 1000
     """Random points of each contract, beside the edges."""

@@ -33,7 +33,7 @@ class Starts(NamedTuple):
     """Where a net has started, and what was there."""
 
     cell: np.ndarray
-    index: np.ndarray
+    technique: np.ndarray
     x: np.ndarray
     weight: np.ndarray
 

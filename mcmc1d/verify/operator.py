@@ -112,7 +112,7 @@ class Operator:
         # A scramble's own starts say how x is spread inside the cells, so that the spread of the laws knows of it.
         spreads = [self._inside(edges, function, starts) for starts in self.flux.points]
         together = sp.csr_matrix(sum(spreads[1:], spreads[0]))
-        fine, coarse = np.arange(together.shape[0]), self.flux.cells.coarser()
+        fine, coarse = np.arange(self.mean_flux.shape[0]), self.flux.cells.coarser()
 
         def law(flux: Matrix, labels: np.ndarray, inside: Matrix) -> np.ndarray:
             group = sp.csr_matrix((np.ones(len(labels)), (labels, np.arange(len(labels)))))
