@@ -96,6 +96,7 @@ def rings() -> dict[str, tuple[Move, list[int | None]]]:
     made["quasi-random: rotated"] = MultipleTry(RING_STEP, 2, by_importance, Rotated()), [None, None, None]
     fresh = FreshCompetitors(Rotated()), FreshCompetitors(Antithetic())
     made["quasi-random: independent"] = MultipleTry(RING_STEP, 2, by_importance, fresh[0]), [None, 4, None, None]
-    made["antithetic: opposite"] = MultipleTry(RING_STEP, 2, by_importance, Antithetic()), [4, None, None]
+    # Eight outcomes: the opposite of a way back lies in an eighth.
+    made["antithetic: opposite"] = MultipleTry(RING_STEP, 2, by_importance, Antithetic()), [8, None, None]
     made["antithetic: independent"] = MultipleTry(RING_STEP, 2, by_importance, fresh[1]), [4, 4, None, None]
     return made
