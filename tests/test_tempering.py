@@ -145,7 +145,7 @@ def test_replicas_in_the_plane_are_points_end_to_end():
     rows = [Tempered(f, b).bin_masses((edges, edges)) for b in (1.0, 0.5)]
     assert np.allclose(pair.target.bin_masses(edges), np.multiply.outer(*rows), rtol=1e-9)
     swap = Mixture({"step": (0.7, ReplicaStep(SmallStep(0.2), 2)), "swap": (0.3, Exchange(2))})
-    assert verify(swap, pair, replicas=2**13).passed
+    assert verify(swap, pair, replicas=2**15).passed
 
 
 def test_a_swap_in_the_plane_that_is_always_made_is_caught():
