@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jax.scipy.special import ndtri
 from numpy.typing import ArrayLike
 
-from mcmc1d.types import Array, Float, Index, Real, Scalar
+from mcmc1d.types import Array, Float, Index, Int, Real, Scalar
 
 T = TypeVar("T")
 
@@ -135,6 +135,11 @@ def locate(ends: Ends, value: Scalar) -> Index:
     for end in [ends[j] for j in range(1, n)]:
         k = k + (value >= end)
     return k
+
+
+def nth(number: Float[Array, "..."], n: int) -> Int[Array, "..."]:
+    """Which of n equal intervals of [0, 1) holds each number."""
+    return jnp.minimum((number * n).astype(jnp.int32), n - 1)
 
 
 def choose(ends: Ends, value: Scalar) -> tuple[Index, Scalar]:

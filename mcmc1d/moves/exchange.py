@@ -7,9 +7,9 @@ import jax.numpy as jnp
 from mcmc1d.checks import require_instance
 from mcmc1d.moves.base import EachNumber, Move, Proposal, zero
 from mcmc1d.moves.primary import LargeStep
-from mcmc1d.numerics import normal_quantile, parameter, require, require_positive, wrap
+from mcmc1d.numerics import normal_quantile, nth, parameter, require, require_positive, wrap
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Float, Index, Scalar
+from mcmc1d.types import Array, Float, Scalar
 
 
 class CoordinateStep(Move):
@@ -94,11 +94,6 @@ def _require_replicas(who: str, target: Multiplexed, width: int, least: int) -> 
         width >= 1 and m % width == 0 and m // width >= least,
         f"{who}: u must hold {least} replicas of {width} numbers or more, and nothing else; it has {m} numbers",
     )
-
-
-def nth(number: Scalar, n: int) -> Index:
-    """Which of n equal intervals of [0, 1) holds the number."""
-    return jnp.minimum((number * n).astype(jnp.int32), n - 1)
 
 
 EXAMPLES = {
