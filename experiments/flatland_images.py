@@ -27,6 +27,8 @@ LEVEL = 1e-4
 STRICT = ("pt", "bdpt", "pssmlt_sum", "pssmlt_max", "mmlt", "rjmlt")
 """Held to the error that is asked for; the others to three times as much."""
 
+_ATTEMPTS = 4
+
 CHAINS = 2**16
 """Of what runs chains: a deviation of their mean is bounded by their number."""
 
@@ -41,11 +43,11 @@ class Config:
     lengths: int = 2
     pixels: int = 16
     log2_pilot: int = 20
-    """Samples of each length, paths or mutations, of a first image, which says how many the second needs."""
+    """Samples of each length, paths or mutations, of a first image, which says how many the next one needs."""
     goal: float = 0.1
     """The error of a pixel that is to be found, of the total or, in a dark pixel, of the image's mean."""
     log2_work: int = 30
-    """No second image may take more rays times segments."""
+    """No image may take more rays times segments."""
 
 
 PROFILES = {
@@ -57,7 +59,7 @@ PROFILES = {
         mutants="all",
         lengths=3,
         goal=0.01,
-        log2_work=32,
+        log2_work=34,
     ),
 }
 
@@ -152,11 +154,18 @@ def held(
     pilot = 2**log2_pilot
     looked = integrate(first, make, of, lengths=lengths, samples=pilot)
     goal *= 1 if integrator in STRICT else 3
-    needed = 1.2 * (float(compare(looked, *exact, level).detectable[-1].max()) / goal) ** 2  # the pilot errs, too
-    allowed = 2**log2_work / (looked.rays * len(of.segments))
-    samples = int(pilot * max(min(needed, allowed), 1 / 4))
-    found = integrate(second, make, of, lengths=lengths, samples=samples)
-    result = compare(found, *exact, level)
+    samples, most = pilot, int(2**log2_work * pilot / (looked.rays * len(of.segments)))
+    found, result = looked, compare(looked, *exact, level)
+    # Each image is made afresh, and only the last one is held to the exact one: those before say how large it must be.
+    # One may not do, since the error of short chains falls more slowly than their samples grow.
+    for attempt in range(_ATTEMPTS):
+        needed = 1.2 * (float(result.detectable[-1].max()) / goal) ** 2  # the image before errs, too
+        samples = max(int(min(samples * needed, most)), pilot // 4)
+        own = jax.random.fold_in(second, attempt) if attempt else second
+        found = integrate(own, make, of, lengths=lengths, samples=samples)
+        result = compare(found, *exact, level)
+        if samples >= most or result.detectable[-1].max() <= goal:
+            break
     off = Image([layer.scaled((layer.edges + 1) / (layer.edges + 2)) for layer in found.layers])
     return {
         "excess": float(result.excess.max()),
