@@ -27,8 +27,6 @@ LEVEL = 1e-4
 STRICT = ("pt", "bdpt", "pssmlt_sum", "pssmlt_max", "mmlt", "rjmlt")
 """Held to the error that is asked for; the others to three times as much."""
 
-_ATTEMPTS = 4
-
 CHAINS = 2**16
 """Of what runs chains: a deviation of their mean is bounded by their number."""
 
@@ -154,18 +152,19 @@ def held(
     pilot = 2**log2_pilot
     looked = integrate(first, make, of, lengths=lengths, samples=pilot)
     goal *= 1 if integrator in STRICT else 3
-    samples, most = pilot, int(2**log2_work * pilot / (looked.rays * len(of.segments)))
-    found, result = looked, compare(looked, *exact, level)
-    # Each image is made afresh, and only the last one is held to the exact one: those before say how large it must be.
-    # One may not do, since the error of short chains falls more slowly than their samples grow.
-    for attempt in range(_ATTEMPTS):
-        needed = 1.2 * (float(result.detectable[-1].max()) / goal) ** 2  # the image before errs, too
-        samples = max(int(min(samples * needed, most)), pilot // 4)
-        own = jax.random.fold_in(second, attempt) if attempt else second
-        found = integrate(own, make, of, lengths=lengths, samples=samples)
-        result = compare(found, *exact, level)
-        if samples >= most or result.detectable[-1].max() <= goal:
-            break
+    most = 2**log2_work * pilot / (looked.rays * len(of.segments))
+    error = float(compare(looked, *exact, level).detectable[-1].max())
+    needed = pilot * (error / goal) ** 2
+    if hasattr(make, "chains") and needed > 8 * pilot:
+        # The error of short chains falls more slowly than samples grow: how slowly, a longer look shows.
+        longer = int(min(needed, most) / 8)
+        again = integrate(jax.random.fold_in(first, 1), make, of, lengths=lengths, samples=longer)
+        after = float(compare(again, *exact, level).detectable[-1].max())
+        slope = np.clip(np.log(error / after) / np.log(longer / pilot), 0.25, 0.5)
+        needed = longer * (after / goal) ** (1 / slope)
+    samples = int(max(min(1.2 * needed, most), pilot / 4))  # the pilots err, too
+    found = integrate(second, make, of, lengths=lengths, samples=samples)
+    result = compare(found, *exact, level)
     off = Image([layer.scaled((layer.edges + 1) / (layer.edges + 2)) for layer in found.layers])
     return {
         "excess": float(result.excess.max()),

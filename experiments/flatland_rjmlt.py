@@ -72,8 +72,8 @@ PROFILES = {
     ),
 }
 
-WORSE = 1.25
-"""What still counts as no worse."""
+MARGIN = 1.25
+"""Of non-inferiority: the ratio of errors up to which RJMLT counts as no worse."""
 SHOWN = ("keep", "change", "jump", "aimed")
 """The moves whose acceptance is shown."""
 
@@ -287,9 +287,9 @@ def judge(data: xr.Dataset) -> list[Claim]:
         claims.append(
             Claim(
                 f"plane.{method.lower().replace(', ', '-')}-convergence",
-                f"At equal rays {method}'s squared error is at most {WORSE:g} times MMLT's (geometric mean)",
+                f"At equal rays {method}'s squared error is at most {MARGIN:g} times MMLT's (geometric mean)",
                 f"{SOURCE}, fig. 5",
-                among({name: under(WORSE, ratio(above, below, DECIDES)) for name, (above, below) in pairs.items()}),
+                among({name: under(MARGIN, ratio(above, below, DECIDES)) for name, (above, below) in pairs.items()}),
                 "holds",
                 "; ".join(
                     f"{name}: times {shown(ratio(above, below))}; MSE {of_mmlt[name]:.2f} of MMLT's, its spread "

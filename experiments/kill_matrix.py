@@ -62,7 +62,8 @@ SECONDS = 120.0
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Catch the mutants, let the traps pass, and sweep one mistake's severity."""
-    wrong, right = (dict(list(known.items())[:: config.every]) for known in (mutants(), traps()))
+    wrong = dict(list(mutants().items())[:: config.every])
+    right = dict(list(traps().items())[:: config.every])
     severities = SEVERITIES if config.full else CLAIMED
     layers = progress.map("mutants", catches, [(name, seed, config.seeds, config.full) for name in wrong])
     caught = np.array([[[layer in found for layer in LAYERS] for found in seeds] for seeds, _ in layers])

@@ -19,7 +19,7 @@ import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import passes, verdict
+from experiments.support.verdict import near, passes, verdict
 from mcmc1d.checks import require_instance
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Mixture, Move, SmallStep, StepAndChange, TechniqueChange
@@ -272,7 +272,9 @@ def _verified(data: xr.Dataset, names: tuple[str, ...]) -> tuple[bool | None, st
 def judge(data: xr.Dataset) -> list[Claim]:
     """Each claim, with an exact and a statistical number."""
     b = float(data.b)
-    noise = float(data.noise.max())
+    noise = {str(name): float(data.noise.sel(law=name)) for name in data.law.to_numpy()}
+    most = 2 * max(noise[name] for name in HEURISTICS)
+    nets = f"TV twice the net's noise, {most:.1e} at most (open to four times)"
     claims = []
 
     def claim(
@@ -297,19 +299,19 @@ def judge(data: xr.Dataset) -> list[Claim]:
         "marginal",
         "The extended chain's marginal in x is f / b: balance, power and maximum heuristic",
         f"{SOURCE}, eqs. 16-20",
-        (marginal < 2 * noise, passed),
+        (*(near(_distances(data, name)[0], noise[name]) for name in HEURISTICS), passed),
         "holds",
         f"operators' TV {marginal:.1e}; {number}",
-        f"TV {2 * noise:.1e}, twice the nets' noise; {held}",
+        f"{nets}; {held}",
     )
     claim(
         "share",
         "The share of each technique given x is its MIS weight: balance, power and maximum heuristic",
         f"{SOURCE}, eqs. 16-20",
-        (share < 2 * noise, ring_error < 1e-12, passed),
+        (*(near(_distances(data, name)[1], noise[name]) for name in HEURISTICS), ring_error < 1e-12, passed),
         "holds",
         f"operators' TV of (i, x) {share:.1e}; enumerated on a ring {ring_error:.1e}; {number}",
-        f"TV {2 * noise:.1e}, twice the nets' noise; ring 1e-12; {held}",
+        f"{nets}; ring 1e-12; {held}",
     )
     passed, number, held = _verified(data, ("path space",))
     same = total_variation(data.exact.sel(law="path space").to_numpy(), data.exact.sel(law="balance").to_numpy())
@@ -317,10 +319,10 @@ def judge(data: xr.Dataset) -> list[Claim]:
         "path-space",
         "Tempering in path space, technique changed at fixed x, has the same law",
         f"{SOURCE}, sec. 3.1, eq. 15",
-        (same < 1e-9, _distances(data, "path space")[1] < 2 * noise, passed),
+        (same < 1e-9, near(_distances(data, "path space")[1], noise["path space"]), passed),
         "holds",
         f"exact TV {same:.0e}, operator's {_distances(data, 'path space')[1]:.1e}; {number}",
-        f"1e-9; TV {2 * noise:.1e}; {held}",
+        f"1e-9; TV {2 * noise['path space']:.1e}, open to twice that; {held}",
     )
     times = [float(data.time.sel(law=name)) for name in ("path space", "balance")]
     rates = [data.acceptance.sel(space=name).to_numpy() for name in ("path space", "balance")]
@@ -365,7 +367,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         "fails",
         f"positive where a density is zero: {loss:.2%} of b lost, x off by TV {shift:.3f}; the operator's law is "
         f"that to {found:.1e}",
-        f"quadrature; TV {2 * noise:.1e}; Multiplexed refuses such weights",
+        f"quadrature; TV {2 * noise['lost']:.1e}; Multiplexed refuses such weights",
     )
     claim(
         "partition-repair",
@@ -384,10 +386,10 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "mmlt.floor-index",
             "The index as the floor of n u_t, moved like the other numbers, gives the same law",
             f"{SOURCE}, sec. 4, Alg. 2",
-            verdict(abs(factor) < 1e-9, distance < 2 * blur, passed),
+            verdict(abs(factor) < 1e-9, near(distance, blur), passed),
             "holds",
             f"n times its integral is b to {abs(factor):.0e}; operator's TV in x {distance:.1e}; {number}",
-            f"1e-9; TV {2 * blur:.1e}, twice the net's noise; {held}",
+            f"1e-9; TV {2 * blur:.1e}, twice the net's noise, open to four times; {held}",
         )
     )
     passed, number, held = _verified(data, ("block-wise",))

@@ -27,7 +27,7 @@ from experiments.support.mtm_lambda_kernels import (
 )
 from experiments.support.sweep import Sweep
 from experiments.support.transitions import stationary
-from experiments.support.verdict import passes, verdict
+from experiments.support.verdict import passes, verdict, witnessed
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import (
     Antithetic,
@@ -273,14 +273,15 @@ def judge(data: xr.Dataset) -> list[Claim]:
     best = data.error.min("sd")
     shapes = {str(s): best.sel(shape=s).to_numpy() for s in data.shape.to_numpy()}
     rivals = np.min([shapes["uniform"], shapes["linear"]], axis=0)
-    statistics = f"verify at {data.level:.0e} detects a CDF gap of {float(data.gap.max()):.3f} with probability 0.99"
+    gap = float(data.gap.max())
+    statistics = f"verify at {data.level:.0e} detects a CDF gap of {gap:.3f} at most with probability 0.99"
     enumeration = "enumeration, p = 2, lopsided step; exact to 1e-12"
 
     def claim(
         name: str, statement: str, source: str, holds: bool, expected: str, number: str, held: str, witness: str = ""
     ) -> Claim:
         """Of what is exact, and of the verification on the line where one is named."""
-        found = verdict(holds, passes([said[witness]]) if witness else True)
+        found = witnessed(holds, passes([said[witness]])) if witness else verdict(holds)
         return Claim(f"mtm.{name}", statement, source, found, expected, number, held)
 
     return [
@@ -314,6 +315,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             + f"; `check` refuses {int(data.refused)} of {len(ASYMMETRIC)}; on the line: "
             f"{said['lambda not symmetric']}",
             f"{enumeration}; {statistics}",
+            "lambda not symmetric",
         ),
         claim(
             "intervals",
@@ -333,6 +335,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "fails",
             f"TV {off['strata: all but the chosen']:.4f}; on the line: {said['other strata']}",
             f"{enumeration}; {statistics}",
+            "other strata",
         ),
         claim(
             "strata-left-free",
@@ -352,6 +355,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "fails",
             f"TV {off['quasi-random: independent']:.4f}; on the line: {said['fresh competitors']}",
             f"{enumeration}; {statistics}",
+            "fresh competitors",
         ),
         claim(
             "quasi-random-rotated",
@@ -371,6 +375,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "fails",
             f"TV {off['antithetic: independent']:.4f}; on the line: {said['fresh opposite']}",
             f"{enumeration}; {statistics}",
+            "fresh opposite",
         ),
         claim(
             "antithetic-opposite",
@@ -391,6 +396,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             f"TV {wrong:.4f}: the law is f Z, to {apart:.1e} by the operator (p = 1, 4); on the line: "
             f"{said['no normaliser']}",
             f"quadrature, sigma 0.2; {statistics}",
+            "no normaliser",
         ),
         claim(
             "clamped-with",

@@ -57,6 +57,8 @@ class Config:
     blocks: int = 32
     replicas: int = 2**13
     """Of a verification's first stage."""
+    theory_replicas: int = 2**15
+    """The same of a theory's kernel, of which some are compared with fresh draws."""
     points: int = 300
     """Random points of a contract, besides all edges."""
     trace_chains: int = 512
@@ -65,7 +67,7 @@ class Config:
 
 PROFILES = {
     "quick": Config(),
-    "paper": Config(chains=2**15, steps=4096, replicas=2**16, points=10_000, trace_steps=10_000),
+    "paper": Config(chains=2**15, steps=4096, replicas=2**18, theory_replicas=2**18, points=10_000, trace_steps=10_000),
 }
 
 TECHNIQUES: dict[str, Technique] = BOXES | DISKS | TRIANGLES | TABLES
@@ -123,7 +125,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         return verify.verify(kernels["reversible jump"], target, replicas=config.replicas, seed=seed)
 
     reports = both_cores(verified, targets.values(), partial(progress, "verify"))
-    points = [(name, 4 * config.replicas, seed) for name in theories()]  # where no CDF is known, half as sharp
+    points = [(name, config.theory_replicas, seed) for name in theories()]
     theory = progress.map("theories", put_to_verify, points)
     edges, coarse = np.linspace(0, 1, config.cells + 1), np.linspace(0, 1, _COARSE + 1)
     masses = {name: target.bin_masses((edges, edges)) for name, target in TARGETS.items()}

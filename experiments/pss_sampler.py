@@ -27,7 +27,7 @@ from experiments.support.pss_sampler_references import (
 )
 from experiments.support.pss_sampler_simulations import HOLES, dark_share, holes, paths, ratio, simulate
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import passes, verdict
+from experiments.support.verdict import passes, verdict, witnessed
 from mcmc1d import lazy, verify
 from mcmc1d.lazy import LazySampler
 from mcmc1d.verify.goodness import p_value, smallest_gap, total_variation
@@ -228,7 +228,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "pss.lazy-equals-eager",
             "The lazy sampler, which backs a number up before the steps it has missed, has the eager one's law",
             f"{BOOK}.4",
-            verdict(max(merged) < 1e-12, passes(verdicts[1:2])),
+            witnessed(max(merged) < 1e-12, passes(verdicts[1:2])),
             "fails",
             f"TV {max(merged):.3f} without large steps, {merged[2]:.3f} at 10 %; {verdicts[1]}, p {p[1]:.1e}",
             f"a chain written down, 1e-12; {tested}",

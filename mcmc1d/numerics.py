@@ -137,7 +137,7 @@ def locate(ends: Ends, value: Scalar) -> Index:
     return k
 
 
-def nth(number: Float[Array, "..."], n: int) -> Int[Array, "..."]:
+def stratum(number: Float[Array, "..."], n: int) -> Int[Array, "..."]:
     """Which of n equal intervals of [0, 1) holds each number."""
     return jnp.minimum((number * n).astype(jnp.int32), n - 1)
 

@@ -10,7 +10,7 @@ import numpy as np
 from mcmc1d.image import Film, Image
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
-from mcmc1d.numerics import nth, require
+from mcmc1d.numerics import require, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.rendering import Rendered, Scene
 from mcmc1d.state import Multiplexed, State
@@ -91,7 +91,7 @@ def _words(key: Key) -> list[int]:
 
 def _uniform_states(key: Key, target: Multiplexed, count: int) -> State:
     w = uniforms(key, 0, (target.dim_u + 1, count), jnp.float32)
-    index = nth(w[0], target.n_techniques)
+    index = stratum(w[0], target.n_techniques)
     return State(index, w[1:].T)
 
 

@@ -17,7 +17,7 @@ from mcmc1d.image import Film, Image
 from mcmc1d.importance import Product, Regions, require_importance
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
-from mcmc1d.numerics import nth, require
+from mcmc1d.numerics import require, stratum
 from mcmc1d.pixels import Pixels, masses, resample
 from mcmc1d.quadrature import midpoints
 from mcmc1d.random import uniforms
@@ -261,7 +261,7 @@ def _exact_starts(key: Key, target: Multiplexed, chains: int) -> State:
     def draw(carry: tuple[Array, State, Array, Array]) -> tuple[Array, State, Array, Array]:
         attempt, state, done, bound = carry
         w = uniforms(key, attempt, (target.dim_u + 2, chains), jnp.float32)
-        fresh = State(nth(w[0], target.n_techniques), w[2:].T)
+        fresh = State(stratum(w[0], target.n_techniques), w[2:].T)
         density = jax.vmap(log_c)(fresh.index, fresh.u)
         kept = ~done & (jnp.log(w[1]) < density - bound)
         exceeded = density.max() > bound
@@ -281,7 +281,7 @@ def _densities(keys: Array, scene: Scene, values: Array, regions: Array, count: 
     def one(key: Key, values: Array) -> Array:
         _, target = scene.multiplexed(values, regions)
         w = uniforms(key, 0, (target.dim_u + 1, count), jnp.float32)
-        index = nth(w[0], target.n_techniques)
+        index = stratum(w[0], target.n_techniques)
         states = jax.vmap(target.evaluate)(State(index, w[1:].T))
         return jnp.exp(states.seen.log_c)
 

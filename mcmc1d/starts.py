@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_instance
-from mcmc1d.numerics import below_one, cast, nth, require
+from mcmc1d.numerics import below_one, cast, require, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Key
@@ -144,7 +144,7 @@ def _draw(
 ) -> tuple[State, Float[Array, " count"], Float[Array, " count"]]:
     """States uniform on (i, u), or u alone, their densities, and a uniform number for each."""
     numbers = uniforms(key, _DRAWS, (target.dim_u + 2, count), dtype)
-    index = nth(numbers[0], target.n_techniques)
+    index = stratum(numbers[0], target.n_techniques)
     index = index if only is None else jnp.full_like(index, only)
     state = jax.vmap(target.evaluate)(State(index, numbers[2:].T))
     return state, jnp.exp(state.seen.log_c), numbers[1]

@@ -59,7 +59,8 @@ def ladder(
 def even_log_prior(target: Target, betas: Sequence[float]) -> np.ndarray:
     """Log k_i = -log of the integral of f^beta_i, by quadrature: every rung is then equally likely."""
     ends = np.asarray(target.domain, np.float64)
-    require(ends.size <= 4, "even_log_prior: the integrals are known on the line and in the plane; give log_prior=")
+    known = ends.shape in ((2,), (2, 2))
+    require(known, "even_log_prior: the integrals are known on the line and in the plane; give log_prior=")
     edges = ends if ends.ndim == 1 else tuple(ends.T)
     return -np.log([float(Tempered(target, beta).bin_masses(edges).sum()) for beta in betas])
 
@@ -93,7 +94,7 @@ class Replicas(Target):
         lower, upper = (np.tile(np.atleast_1d(corner), self.betas.shape[0]) for corner in self.target.domain)
         return lower, upper
 
-    def log_f(self, x: Float[Array, " n"]) -> Scalar:
+    def log_f(self, x: Float[Array, " nd"]) -> Scalar:
         shape = np.shape(self.target.domain[0])
         each = jnp.split(x, self.betas.shape[0])
         rungs = [Tempered(self.target, self.betas[t]).log_f(own.reshape(shape)) for t, own in enumerate(each)]
@@ -116,11 +117,13 @@ class Replicas(Target):
 def replicas(target: Target, betas: Sequence[float], technique: Technique | None = None) -> Multiplexed:
     """Replica exchange: independent replicas at all temperatures at once, as one point of a product space.
 
-    Steps of the coordinates (`moves.exchange.CoordinateStep`) leave their product invariant, and so does the swap of
-    two, `moves.exchange.Exchange(technique.dim_u)`; replica `rung_of_one(betas)` has the law f / b. `technique` makes
-    one replica's x; `Uniform` unless given.
+    Steps of one replica (`moves.exchange.ReplicaStep(step, technique.dim_u)`, or `CoordinateStep`) leave their product
+    invariant, and so does the swap of two, `moves.exchange.Exchange(technique.dim_u)`. Replica `rung_of_one(betas)` has
+    the law f / b. `technique` makes one replica's x; `Uniform` unless given.
     """
     technique = Uniform() if technique is None else technique
+    require_instance(target, Target, "replicas: the target")
+    require_instance(technique, Technique, "replicas: the technique")
     made, wanted = sample_shape(technique), np.shape(target.domain[0])
     require(
         made == wanted,

@@ -11,8 +11,9 @@ from mcmc1d import tempering, weights
 from mcmc1d.metropolis import OfMove
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.moves.exchange import CoordinateStep, Exchange, ReplicaStep
+from mcmc1d.planar_histogram import planar_joint_masses
 from mcmc1d.pooled import Floored, Pooled, PooledDeposit, floored, integral, pooled, samples
-from mcmc1d.targets import FromFunction, Sinusoid, Tabulated
+from mcmc1d.targets import Banana, FromFunction, Sinusoid, Tabulated
 from mcmc1d.targets.planar import two_ridges
 from mcmc1d.targets.tempered import Sum, Tempered
 from mcmc1d.techniques import Inversion, Ramp, Rectangle, Tent, Uniform
@@ -118,7 +119,7 @@ class _AlwaysSwaps(mcmc1d.Kernel):
         pass
 
     def step(self, target, state, w):
-        after = target.evaluate(mcmc1d.State(state.index, state.u[::-1]))
+        after = target.evaluate(mcmc1d.State(state.index, state.u.reshape(2, -1)[::-1].ravel()))
         plain = mcmc1d.Metropolis(Exchange(), "plain").step(target, state, jnp.stack([w[0], w[0]]))
         deposits = mcmc1d.metropolis.Deposits(after.seen.x[None], plain.deposits.index, plain.deposits.weight)
         return mcmc1d.metropolis.Step(after, deposits, plain.info)
@@ -148,19 +149,22 @@ def test_replicas_in_the_plane_are_points_end_to_end():
     assert verify(swap, pair, replicas=2**15).passed
 
 
-def test_a_swap_in_the_plane_that_is_always_made_is_caught():
-    pair = tempering.replicas(two_ridges(), [1.0, 0.1], Rectangle())
+@pytest.mark.parametrize(("other", "wrong"), [(0.1, True), (1.0, False)])
+def test_a_swap_in_the_plane_that_is_always_made_is_caught(other, wrong):
+    """Between replicas at one temperature it is right. At level 1e-5."""
+    pair = tempering.replicas(two_ridges(), [1.0, other], Rectangle())
     walk = ReplicaStep(SmallStep(0.2), 2)
-    assert verify(mcmc1d.Cycle([walk, _AlwaysSwaps()]), pair, replicas=2**15).failures
+    assert bool(verify(mcmc1d.Cycle([walk, _AlwaysSwaps()]), pair, replicas=2**15).failures) == wrong
 
 
 def test_the_rungs_of_a_planar_ladder_are_equally_likely():
-    f, edges = two_ridges(), np.array([0.0, 1.0])
-    log_prior = tempering.even_log_prior(f, [1.0, 0.3, 0.0])
-    integrals = [
-        Tempered(f, b, k).bin_masses((edges, edges)).sum() for b, k in zip((1, 0.3, 0), log_prior, strict=True)
-    ]
-    assert np.allclose(integrals, 1, rtol=1e-9)
+    f = Banana()  # of sides that differ
+    ladder = tempering.ladder(f, [1.0, 0.3, 0.0], Rectangle(f.lower, f.upper))
+    edges = [np.linspace(a, b, 3) for a, b in zip(f.lower, f.upper, strict=True)]
+    shares = planar_joint_masses(ladder, *edges).sum((1, 2))
+    assert np.allclose(shares, 1 / 3, atol=1e-9)
+    with pytest.raises(ValueError, match="on the line and in the plane"):
+        tempering.even_log_prior(tempering.Replicas(SINUSOID, [1.0]), [1.0])
 
 
 # --- parts, path space ----------------------------------------------------------------------------------------------

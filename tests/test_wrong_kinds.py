@@ -27,6 +27,8 @@ CALLS = {
     "flatland.Segment((0, 0, 1), (1, 1))": "Segment: start is a point, two numbers",
     "flatland.Material(emission='1')": "Material: emission is a number, not '1'",
     "flatland.Pinhole((0.0, 0.0), (1.0, 0.0), pixels=2.5)": "Pinhole: pixels must be a whole number",
+    "tempering.replicas(3, [1.0])": "replicas: the target must be a Target",
+    "tempering.replicas(targets.Sinusoid(), [1.0], techniques.Tent)": "replicas: the technique: give an instance",
     "verify.check_move(moves.SmallStep)": "check_move: the move: give an instance, SmallStep(...)",
     "verify.check_move(move, targets.Sinusoid())": "wrap it: Multiplexed(target, techniques)",
     "verify.check_technique(techniques.Tent)": "check_technique: the technique: give an instance, Tent(...)",
@@ -36,7 +38,7 @@ SCRIPT = """
 import json, sys
 import jax
 from mcmc1d import *
-from mcmc1d import flatland
+from mcmc1d import flatland, tempering
 key, move, target = jax.random.key(0), moves.SmallStep(), Multiplexed(targets.Sinusoid(), techniques.Uniform())
 said = {}
 for call in json.loads(sys.argv[1]):

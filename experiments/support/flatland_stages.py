@@ -15,7 +15,7 @@ from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing, S
 from mcmc1d.flatland.integrators.exposure import expose
 from mcmc1d.flatland.integrators.redistribution import chains_of
 from mcmc1d.moves import Move
-from mcmc1d.numerics import below_one, cast, nth
+from mcmc1d.numerics import below_one, cast, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Int, Key
@@ -176,9 +176,9 @@ def _draws(
     dtype = jnp.zeros(()).dtype
     target, paths = cast((target, paths), dtype)
     numbers = uniforms(key, batch, (target.dim_u + 1, lanes), dtype)
-    index = nth(numbers[0], target.n_techniques)
-    stratum = (jnp.arange(lanes) % paths.sensor.pixels).astype(dtype)
-    u = numbers[1:].at[0].set(below_one((stratum + numbers[1]) / paths.sensor.pixels))
+    index = stratum(numbers[0], target.n_techniques)
+    pixel_of = (jnp.arange(lanes) % paths.sensor.pixels).astype(dtype)
+    u = numbers[1:].at[0].set(below_one((pixel_of + numbers[1]) / paths.sensor.pixels))
     seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, u)).seen
     energy = target.n_techniques * jnp.exp(seen.log_c)
     pixel = jax.vmap(paths.pixel, in_axes=-1)(seen.x)

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.stats import t as student
 
 Ratio = tuple[float, float, float]
-"""A ratio of two means, and its interval."""
+"""A ratio of two geometric means, and its interval."""
 DECIDES = 1e-4
-"""How often an interval that decides may miss; those that are shown are of 95 %."""
+"""The probability with which an interval that decides misses the ratio; those that are shown are of 95 %."""
 
 
 def half(values: np.ndarray) -> np.ndarray:
@@ -23,9 +23,9 @@ def geometric(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def ratio(above: np.ndarray, below: np.ndarray, miss: float = 0.05) -> Ratio:
-    """The ratio of two independent means, and its interval, which misses it with probability `miss`.
+    """The ratio of the geometric means of two independent sets of seeds, and the interval that misses it with `miss`.
 
-    By Welch's t on the logarithms of the seeds.
+    By Welch's t on their logarithms.
     """
     a, b = np.log(above), np.log(below)
     parts = a.var(ddof=1) / a.size, b.var(ddof=1) / b.size

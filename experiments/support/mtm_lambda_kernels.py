@@ -8,6 +8,7 @@ import mcmc1d
 from mcmc1d.moves import Antithetic, Move, MultipleTry, Rotated, Stratified
 from mcmc1d.moves.candidates import Candidates, Reverse, insert
 from mcmc1d.moves.multiple_try import SymmetricLambda, by_importance, evenly
+from mcmc1d.numerics import require
 from mcmc1d.types import Index
 from mcmc1d.verify import RingStep
 from mcmc1d.verify.mutants.base import WrongMove
@@ -70,6 +71,9 @@ class FreshCompetitors(Candidates):
     """Candidates that one vector makes, and competitors that are independent of where the way back lies."""
 
     together: Candidates
+
+    def check(self, p: int) -> None:
+        require(p == 2 or isinstance(self.together, Rotated), f"FreshCompetitors: one vector makes two, not {p}")
 
     def dim(self, p: int, r: int) -> int:
         return p * r

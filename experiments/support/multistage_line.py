@@ -1,7 +1,5 @@
 """An image of the line, rendered in stages: its bias by N and by where b comes from; two readings of Algorithm 2."""
 
-from typing import Any
-
 import jax
 import numpy as np
 import xarray as xr
@@ -27,7 +25,7 @@ FINE = 2**14
 """The side of an image whose stages are counted: the shares hardly depend on it."""
 SMALLEST = 256
 """The fewest samples of a biased image: 4 of them for its first stage."""
-EXACT = 4 * SMALLEST
+PIXEL_SAMPLES = 4 * SMALLEST
 """Samples of each image that is held to the exact one pixel by pixel: enough of them in each for a mean that is
 nearly normal."""
 LEVEL = 1e-5
@@ -56,7 +54,7 @@ def measure(side: int, sizes: int, replicas: int, key: Key, progress: Sweep) -> 
         progress("text and listing", row + 1, len(SCHEMES))
     off, noise = np.zeros((2, len(METHODS), side))
     for row, method in enumerate(METHODS):
-        image = render(line, method, EXACT, replicas, jax.random.fold_in(key, 200 + row), kernel).film.image()
+        image = render(line, method, PIXEL_SAMPLES, replicas, jax.random.fold_in(key, 200 + row), kernel).film.image()
         off[row], noise[row] = image.mean(0) / exact - 1, image.std(0, ddof=1) / replicas**0.5 / exact
         progress("pixel by pixel", row + 1, len(METHODS))
     return xr.Dataset(
@@ -90,9 +88,9 @@ def claims(data: xr.Dataset) -> list[Claim]:
     spread = data.bias.std("seed", ddof=1).to_numpy() / data.sizes["seed"] ** 0.5
     scores = np.abs(bias / spread).max(1)
     sizes = ", ".join(str(n) for n in data.samples.to_numpy())
-    exponent: Any = np.log(bias[2, -1] / bias[2, -2]) / np.log(4) if bias[2, -1] < 0 else 0.0
+    exponent = float(np.log(bias[2, -1] / bias[2, -2]) / np.log(4)) if bias[2, -1] < 0 else 0.0
     unbiased = "5 standard errors at each N; "
-    z = np.abs(data.pixel_off / data.pixel_noise)
+    z = np.abs(data.pixel_off / data.pixel_noise).fillna(0)  # neither noise nor an error
     far = float(student.isf(LEVEL / (2 * z.size), data.sizes["seed"] - 1))
     counts, early = zip(*(_stages(scheme) for scheme in SCHEMES), strict=True)
     totals = data.scheme_found.sel(found="bias").to_numpy()
@@ -126,7 +124,7 @@ def claims(data: xr.Dataset) -> list[Claim]:
             verdict(float(z.max()) < far),
             "holds",
             ", ".join(f"{m} {float(z.sel(algorithm=m).max()):.1f}" for m in data.algorithm.to_numpy())
-            + f" s.e. at most, N = {EXACT}",
+            + f" s.e. at most, N = {PIXEL_SAMPLES}",
             f"{far:.1f} s.e. of {data.sizes['seed']} seeds ({z.size} pixels, {LEVEL:g} together), "
             f"{far * float(data.pixel_noise.max()):.1%} of a pixel at most",
         ),

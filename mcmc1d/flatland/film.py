@@ -12,7 +12,7 @@ from mcmc1d.estimators import Estimator
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.metropolis import Kernel, Step
-from mcmc1d.numerics import cast, nth, require
+from mcmc1d.numerics import cast, require, stratum
 from mcmc1d.pooled import Pooled
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
@@ -81,7 +81,7 @@ def _batch(key: Key, target: Multiplexed, paths: Paths) -> Float[Array, "2 n"]:
     dtype = jnp.zeros(()).dtype
     target, paths = cast(target, dtype), cast(paths, dtype)
     numbers = uniforms(key, 0, (target.dim_u + 1, _BATCH), dtype)
-    index = nth(numbers[0], target.n_techniques)
+    index = stratum(numbers[0], target.n_techniques)
     states = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:]))
     value = target.n_techniques * jnp.exp(states.seen.log_c)
     pixel = jax.vmap(paths.pixel, in_axes=-1)(states.seen.x)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from mcmc1d.checks import require_instance
 from mcmc1d.moves.base import EachNumber, Move, Proposal, zero
 from mcmc1d.moves.primary import LargeStep
-from mcmc1d.numerics import normal_quantile, nth, parameter, require, require_positive, wrap
+from mcmc1d.numerics import normal_quantile, parameter, require, require_positive, stratum, wrap
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 
@@ -34,7 +34,7 @@ class CoordinateStep(Move):
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
         m = target.dim_u
-        chosen = nth(w[0], m) if self.coordinate is None else jnp.asarray(self.coordinate)
+        chosen = stratum(w[0], m) if self.coordinate is None else jnp.asarray(self.coordinate)
         stepped = wrap(state.u + self.sigma * normal_quantile(w[-1]))
         u = jnp.where(jnp.arange(m) == chosen, stepped, state.u)
         return Proposal(State(state.index, u), w.at[-1].set(1 - w[-1]), zero(u))
@@ -59,7 +59,7 @@ class ReplicaStep(Move):
         _require_replicas("ReplicaStep", target, self.width, 1)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
-        first = self.width * nth(w[0], target.dim_u // self.width)
+        first = self.width * stratum(w[0], target.dim_u // self.width)
         own = jax.lax.dynamic_slice(state.u, (first,), (self.width,))
         stepped = self.step.propose(target, State(state.index, own), w[1:])
         u = jax.lax.dynamic_update_slice(state.u, stepped.state.u, (first,))
@@ -82,7 +82,7 @@ class Exchange(Move):
         _require_replicas("Exchange", target, self.width, 2)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " 1"]) -> Proposal:
-        k, at = nth(w[0], target.dim_u // self.width - 1), jnp.arange(target.dim_u) // self.width
+        k, at = stratum(w[0], target.dim_u // self.width - 1), jnp.arange(target.dim_u) // self.width
         up, down = jnp.roll(state.u, -self.width), jnp.roll(state.u, self.width)
         u = jnp.where(at == k, up, jnp.where(at == k + 1, down, state.u))
         return Proposal(State(state.index, u), w, zero(u))

@@ -118,14 +118,14 @@ def enumerate_kernel(
 ) -> Enumeration:
     """Run `kernel.step` from each state for every outcome of its uniform numbers w, and sum up.
 
-    `numbers` says for each coordinate of w how its outcomes are told apart: an integer q, by the middles of q equal
-    intervals, on each of which the outcome must be constant; None (all of them, unless given), by bisection. Then the
+    `numbers` says for each coordinate of w how its outcomes are told apart: an integer q, by one point in each of
+    q equal intervals, on which the outcome must be constant; None (all of them, unless given), by bisection. Then the
     coordinate is probed at `probes` points, the later ones standing at `inner` fixed places; where two neighbours
-    differ in any leaf of the `Step` the break between them is bisected to 2^-52. The earlier coordinates are held at
-    the middle of each of their intervals: the break of an accept or of a selector may depend on them. An interval
+    differ in any leaf of the `Step` the break between them is bisected to 2^-52. The earlier coordinates are held
+    inside each of their intervals: the break of an accept or of a selector may depend on them. An interval
     between probes whose ends agree is missed: raise `probes` for probabilities under 1 / `probes`.
 
-    Done twice, with other probes and other inner places: the two must agree to 1e-9.
+    Done twice, with other probes, other inner places, and at other places of each interval: the two must agree to 1e-9.
 
     Raises `ValueError` where they do not, where a step leaves the states, and where the outcome is not piecewise
     constant.
@@ -154,6 +154,7 @@ def enumerate_kernel(
 def _enumerate(run: "_Runner", plan: list[int | None], probes: int, inner: int, seed: int) -> Enumeration:
     """All outcomes, the breaks looked for between so many probes."""
     later = np.random.default_rng(seed).random((inner, len(plan)))
+    where = (0.5, 0.381966)[seed]  # inside of an interval: on what is constant there, it does not matter
     who, w, weight = np.arange(run.count), np.zeros((run.count, 0)), np.ones(run.count)
     for j, q in enumerate(plan):
         if q is None:
@@ -162,7 +163,7 @@ def _enumerate(run: "_Runner", plan: list[int | None], probes: int, inner: int, 
             row, lower = np.repeat(np.arange(len(who)), q), np.tile(np.arange(q) / q, len(who))
             upper = lower + 1 / q
         who, weight = who[row], weight[row] * (upper - lower)
-        w = np.concatenate([w[row], (lower + upper)[:, None] / 2], axis=1)
+        w = np.concatenate([w[row], (lower + where * (upper - lower))[:, None]], axis=1)
     return run.total(who, w, weight)
 
 

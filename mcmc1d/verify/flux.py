@@ -49,7 +49,7 @@ class Flux:
     """The same for each kind of move between coarse cells (index, interval of the first coordinate), stays left out."""
     kinds: tuple[str, ...]
     points: tuple[Starts, ...]
-    """Some of each scramble's starts, one at least in each cell."""
+    """Some of each scramble's starts, one at least in each cell where any scramble starts."""
 
 
 @wide_jit
@@ -180,14 +180,17 @@ def _gather(cells: Cells, sums: list[_Sums], kinds: tuple[str, ...]) -> Flux:
         "or take fewer cells; if it stays so, the target's density is zero there, and the law it would have unknown",
     )
     used = np.flatnonzero((np.diff(reached.indptr) > 0) | (np.asarray(reached.sum(0)).ravel() > 0))
-    # Every cell has one point at least, of a weight that does not matter where there are others.
-    seen = [np.flatnonzero(~np.isnan(s.representative.reshape(s.size, -1)).any(1)) for s in sums]
-    spare = np.concatenate(seen), np.concatenate([s.representative[k] for s, k in zip(sums, seen, strict=True)])
 
     def starts_of(one: _Sums) -> Starts:
         place, x, weight = (np.concatenate(parts) for parts in zip(*one.kept, strict=True))
-        place, x = np.concatenate([place, spare[0]]), np.concatenate([x, spare[1]])
-        weight = np.concatenate([weight, np.full(len(spare[0]), 1e-6 * weight.mean())])
+        # Of a cell where none was kept one start stands for all, the scramble's own if it has any; its weight is alone.
+        spare = one.representative.copy()
+        for other in sums:
+            spare = np.where(np.isnan(spare), other.representative, spare)
+        missing = np.setdiff1d(used[~np.isnan(spare[used]).reshape(len(used), -1).any(1)], place)
+        kept = np.isin(place, used)
+        place, x = np.concatenate([place[kept], missing]), np.concatenate([x[kept], spare[missing]])
+        weight = np.concatenate([weight[kept], np.ones(len(missing))])
         return Starts(np.searchsorted(used, place), place // (one.size // cells.n_index), x, weight)
 
     coarse = sums[0].coarse

@@ -109,12 +109,11 @@ class Operator:
         Raises `ValueError` where the net was too small to find it.
         """
         edges = np.asarray(edges, np.float64)
-        # A scramble's own starts say how x is spread inside the cells, so that the spread of the laws knows of it.
-        spreads = [self._inside(edges, function, starts) for starts in self.flux.points]
-        together = sp.csr_matrix(sum(spreads[1:], spreads[0]))
+        # Each scramble's own starts say how x lies inside the cells, so that its law is independent of the others'.
+        insides = [self._inside(edges, function, starts) for starts in self.flux.points]
         fine, coarse = np.arange(self.mean_flux.shape[0]), self.flux.cells.coarser()
 
-        def law(flux: Matrix, labels: np.ndarray, inside: Matrix) -> np.ndarray:
+        def law(flux: Matrix, inside: Matrix, labels: np.ndarray) -> np.ndarray:
             group = sp.csr_matrix((np.ones(len(labels)), (labels, np.arange(len(labels)))))
             spread = group @ inside
             rows = np.asarray(spread.sum(1)).ravel()
@@ -122,9 +121,12 @@ class Operator:
             shares = np.asarray(np.divide(mu, rows, out=np.zeros_like(mu), where=rows > 0) @ spread)
             return (shares / shares.sum()).reshape(self.flux.cells.n_index, -1)
 
-        each = np.stack([law(flux, fine, own) for flux, own in zip(self.flux.scrambles, spreads, strict=True)])
-        here = law(self.mean_flux, fine, together)
-        masses = (4 * here - law(self.mean_flux, coarse, together)) / 3
+        def extrapolated(flux: Matrix, inside: Matrix) -> tuple[np.ndarray, np.ndarray]:
+            here = law(flux, inside, fine)
+            return (4 * here - law(flux, inside, coarse)) / 3, here
+
+        each = np.stack([extrapolated(*own)[0] for own in zip(self.flux.scrambles, insides, strict=True)])
+        masses, here = extrapolated(self.mean_flux, sp.csr_matrix(sum(insides[1:], insides[0])))
         error = each.std(0, ddof=1) / _c4(len(each)) / np.sqrt(len(each))
         # The mean absolute deviation of a normal number of each standard error.
         noise = float(error.sum() * np.sqrt(2 / np.pi) / 2)

@@ -12,7 +12,7 @@ from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Pinhole, Scene, distance
-from mcmc1d.numerics import cast, is_concrete, nth, require
+from mcmc1d.numerics import cast, is_concrete, require, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
@@ -128,7 +128,7 @@ def _sampled(
 
     def body(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
         numbers = uniforms(key, first + k, (target.dim_u + 1, _LANES), dtype)
-        index = nth(numbers[0], target.n_techniques)
+        index = stratum(numbers[0], target.n_techniques)
         index = index if only is None else jnp.full_like(index, only)
         seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:])).seen
         value = ((target.n_techniques if only is None else 1) * jnp.exp(seen.log_c))[None]

@@ -15,7 +15,7 @@ from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Step
-from mcmc1d.numerics import cast, nth, require
+from mcmc1d.numerics import cast, require, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
@@ -200,7 +200,7 @@ def _drawn(
     dtype = jnp.zeros(()).dtype
     target = cast(target, dtype)
     numbers = uniforms(key, attempt, (target.dim_u + 2, _CANDIDATES), dtype)
-    index = nth(numbers[0], target.n_techniques)
+    index = stratum(numbers[0], target.n_techniques)
     seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[2:])).seen
     pixel = jax.vmap(_light(target).light.paths.pixel, in_axes=-1)(seen.x)
     return State(index, numbers[2:]), jnp.exp(seen.log_c), pixel, numbers[1]

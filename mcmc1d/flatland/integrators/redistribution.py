@@ -16,7 +16,7 @@ from mcmc1d.flatland.paths import Paths
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
-from mcmc1d.numerics import cast, nth, require
+from mcmc1d.numerics import cast, require, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Key
@@ -119,7 +119,7 @@ def _energies(key: Key, target: Multiplexed, batch: Array) -> tuple[State, Float
     dtype = jnp.zeros(()).dtype
     target = cast(target, dtype)
     numbers = uniforms(key, batch, (target.dim_u + 2, _PATHS), dtype)
-    index = nth(numbers[0], target.n_techniques)
+    index = stratum(numbers[0], target.n_techniques)
     seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[2:])).seen
     return State(index, numbers[2:].T), target.n_techniques * jnp.exp(seen.log_c), numbers[1]
 
