@@ -64,7 +64,7 @@ def run(
         options += [] if dask is None else ["--dask", dask]
         raise typer.Exit(_beside([(name, getattr(module, "ALONE", False)) for name, module, _ in todo], options, jobs))
     framework.style()
-    surprises = []
+    surprises, undecided = [], []
     for name, module, config in todo:
         began = time.perf_counter()
         kind = {"experiment": name, "config": dataclasses.asdict(config), "seed": seed}
@@ -87,6 +87,9 @@ def run(
         where, took = ", ".join(str(path) for path in paths), time.perf_counter() - began
         console.print(f"{name}, seed {seed}, {took:.0f} s: {where}", highlight=False, soft_wrap=True)
         surprises += [claim for claim in claims if not claim.as_expected]
+        undecided += [claim.id for claim in claims if claim.verdict == "open"]
+    if undecided:
+        errors.print(f"[yellow]open, with these numbers of samples: {', '.join(undecided)}[/]", soft_wrap=True)
     for claim in surprises:
         errors.print(f"[red]{claim.id}: {claim.verdict}, where theory says {claim.expected}: {claim.number}[/]")
     if surprises:
