@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from mcmc1d.metropolis import Cycle, Metropolis
-from mcmc1d.moves import AimedJump, LargeStep, Mixture, ReversibleJump, SmallStep, TechniqueChange
+from mcmc1d.moves import (
+    AimedJump,
+    Antithetic,
+    LargeStep,
+    Mixture,
+    MultipleTry,
+    ReversibleJump,
+    SmallStep,
+    TechniqueChange,
+)
 from mcmc1d.state import State
 from mcmc1d.techniques import Uniform
 from mcmc1d.verify.finite import RingStep, enumerate_kernel, ring
@@ -78,6 +87,15 @@ def test_equal_cells_of_a_number_give_what_bisection_gives():
     target, states = ONE
     by_cells = enumerate_kernel(SMALL, target, states, numbers=[5, None])
     assert np.abs(by_cells.matrix - enumerate_kernel(SMALL, target, states).matrix).max() < 1e-12
+
+
+def test_too_few_cells_of_a_number_are_found_out():
+    """The opposite of a way back lies in an eighth of the number, which at the middle of a quarter is on the edge."""
+    target, states = ring([1, 3, 0.5, 2, 4.0, 1.5])
+    step = MultipleTry(RingStep(6, {1: 0.5, -1: 0.25, 3: 0.25}), 2, candidates=Antithetic())
+    with pytest.raises(ValueError, match="two ways to look for breaks differ"):
+        enumerate_kernel(step, target, states, numbers=[4, None, None])
+    assert enumerate_kernel(step, target, states, numbers=[8, None, None]).residual < 1e-12
 
 
 def test_the_law_is_the_target_and_its_weights():
