@@ -298,6 +298,57 @@ class Exchangeable(Test):
         return said
 
 
+@dataclass(frozen=True)
+class Crossed(Test):
+    """The same of two statistics: from a of one to b of the other as often as that way back in time.
+
+    A rotation exchanges either coordinate with itself, and not the two.
+    """
+
+    name: str
+    values: tuple[Any, Any]
+    ends: tuple[np.ndarray, np.ndarray]
+    layer: str = "exchangeability"
+
+    def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
+        def cells(which: int, where: Position) -> np.ndarray:
+            return np.searchsorted(self.ends[which], np.asarray(self.values[which](where), np.float64), side="right")
+
+        last, size = replicas.look.positions, len(self.ends[1]) + 1
+        forth = cells(0, replicas.first) * size + cells(1, last)
+        back = cells(0, last) * size + cells(1, replicas.first)
+        # A replica of both kinds, or of neither, says nothing.
+        counts = [np.bincount(one[forth != back], minlength=size * (len(self.ends[0]) + 1)) for one in (forth, back)]
+        return counts[0], counts[1]
+
+    def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
+        return sign_p_value(*counts)
+
+    def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
+        forth, back = counts
+        z = (forth - back) / np.sqrt(np.maximum(forth + back, 1))
+        return [
+            f"{self.name}, first and last, cell {k}: {forth[k]} times, and with time turned round {back[k]}"
+            for k in np.argsort(-np.abs(z))[:most]
+        ]
+
+
+@dataclass(frozen=True)
+class Partition:
+    """A few cells, whose shares are compared with those of fresh draws: no test, but a distance."""
+
+    cell: Callable[[Position], np.ndarray]
+    size: int
+
+    def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
+        mine, fresh = (self.cell(where) for where in (replicas.look.positions, replicas.fresh))
+        return np.bincount(mine, minlength=self.size), np.bincount(fresh, minlength=self.size)
+
+    def distance(self, counts: tuple[np.ndarray, ...], n: int) -> float:
+        """The total variation of the two."""
+        return float(np.abs(counts[0] - counts[1]).sum() / 2 / n)
+
+
 def coordinates(positions: Position) -> dict[str, np.ndarray]:
     """Each coordinate of n positions by name, as (n,): "x" or "x[0]", and a tree's own keys."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(positions)

@@ -10,13 +10,16 @@ import jax
 import numpy as np
 
 from mcmc1d.numerics import require
-from mcmc1d.verify.battery import POOLED, Exchangeable, OneSample, Test, TwoSample, coordinates
+from mcmc1d.verify.battery import POOLED, Crossed, Exchangeable, OneSample, Partition, Test, TwoSample, coordinates
 from mcmc1d.verify.law import Bins, Continuous, Law, Position, Statistic
 from mcmc1d.verify.subject import Look
 
 _CUTS = 64
 _JOINT = {2: 10, 3: 5}  # cells a coordinate in a joint test, by the number of coordinates; of more, below and above
 _ORTHANTS = 8  # coordinates at most that are looked at so: 256 cells
+_MOST_PAIRS = 64  # of coordinates that are looked at jointly, where there are more than eight
+_CROSSED = 4  # cells of each of two coordinates whose first and last values are compared
+_DECILES = 10
 _PAIRS = 12  # cells of a statistic whose first and last values are compared: 66 pairs
 
 
@@ -32,7 +35,8 @@ def design(
     """The tests for a law; `draws`, exact and used for nothing else, set the cells' ends.
 
     A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are the density and joint
-    cells: of up to three coordinates; of more, those of neighbours, and the orthants about the medians of up to eight.
+    cells: of up to three coordinates; of more, the orthants about the medians of up to eight, and those of pairs: of
+    neighbours, and of more than eight coordinates of others too, 64 in all.
     Auxiliary coordinates named "u" stay out of the joint cells. Deposits are held to the law of the positions, or to
     what is known of their own, `deposited`; `max_weight` is the largest total weight of a step over the expected one.
     Raises `ValueError` for a CDF that falls.
@@ -70,12 +74,43 @@ def design(
             joint = _Joint(inner)
             ends = np.arange(1, joint.cells) - 0.5
             tests.append(TwoSample(", ".join(group), joint, ends, "joint", ordered=False))
+    tests += [_crossed(a, b, columns) for a, b in _pairs(main) if reversible]
     if law.log_density is not None and not scalar:
         energy = _Energy(jax.jit(jax.vmap(law.log_density)))
         ends = _quantiles(energy(draws), _CUTS)
         if len(ends):
             tests.append(TwoSample("log density", energy, ends, "density"))
     return tests
+
+
+def _crossed(a: str, b: str, columns: Mapping[str, np.ndarray]) -> Crossed:
+    ends = _quantiles(columns[a], _CROSSED), _quantiles(columns[b], _CROSSED)
+    return Crossed(f"{a} with {b}", (_Column(a), _Column(b)), ends)
+
+
+def partitions(draws: Position) -> list[Partition]:
+    """Coarse cells that show a law that is far off: deciles of coordinates, quadrants of pairs, octants of three."""
+    columns = {
+        name: values for name, values in coordinates(draws).items() if np.ptp(values) > 0 and not auxiliary(name)
+    }
+    groups = [(name,) for name in columns]
+    groups += _pairs(list(columns)) + [group for group in [tuple(columns)] if len(group) == 3]
+    cells = [
+        _Joint(tuple((name, _quantiles(columns[name], _DECILES if len(group) == 1 else 2)) for name in group))
+        for group in groups
+    ]
+    return [Partition(cell, cell.cells) for cell in cells]
+
+
+def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:
+    """All pairs of up to eight coordinates; of more, neighbours, and others drawn once and for all, 64 in all."""
+    every = list(itertools.combinations(names, 2))
+    if len(names) <= _ORTHANTS:
+        return every
+    near = list(itertools.pairwise(names))
+    others = [pair for pair in every if pair not in set(near)]
+    chosen = np.random.default_rng(len(names)).permutation(len(others))[: max(0, _MOST_PAIRS - len(near))]
+    return near + [others[k] for k in np.sort(chosen)]
 
 
 def auxiliary(name: str) -> bool:
@@ -202,8 +237,9 @@ def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
 
 
 def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Which coordinates are looked at jointly: all of up to three; of more, blocks of eight; and neighbouring pairs."""
+    """Which coordinates are looked at jointly: all of up to three; of more, blocks of eight, and pairs."""
     if len(names) == 2:
         return [tuple(names)]
     blocks = [tuple(names[k : k + _ORTHANTS]) for k in range(0, len(names), _ORTHANTS)]
-    return [*(block for block in blocks if len(block) > 2), *itertools.pairwise(names)]
+    pairs = itertools.pairwise(names) if len(names) <= _ORTHANTS else _pairs(names)
+    return [*(block for block in blocks if len(block) > 2), *pairs]

@@ -162,9 +162,33 @@ def _enumerate(run: "_Runner", plan: list[int | None], probes: int, inner: int, 
         else:
             row, lower = np.repeat(np.arange(len(who)), q), np.tile(np.arange(q) / q, len(who))
             upper = lower + 1 / q
+            _require_constant(run, who[row], w[row], (lower, upper), later[:, j + 1 :])
         who, weight = who[row], weight[row] * (upper - lower)
         w = np.concatenate([w[row], (lower + where * (upper - lower))[:, None]], axis=1)
     return run.total(who, w, weight)
+
+
+def _require_constant(
+    run: "_Runner", who: np.ndarray, w: np.ndarray, ends: tuple[np.ndarray, np.ndarray], later: np.ndarray
+) -> None:
+    """Raise `ValueError` where the outcome is not the same at both ends of an interval as in its middle."""
+    inner = later if later.shape[1] else later[:1]
+
+    def outcomes(share: float) -> np.ndarray:
+        value = ends[0] + share * (ends[1] - ends[0])
+        points = np.repeat(np.concatenate([w, value[:, None]], axis=1), len(inner), axis=0)
+        points = np.concatenate([points, np.tile(inner, (len(who), 1))], axis=1)
+        return run.leaves(np.repeat(who, len(inner)), points).reshape(len(who), -1)
+
+    middle = outcomes(0.5)
+    for share in (1e-6, 0.25, 0.75, 1 - 1e-6):
+        differ = _differ(outcomes(share), middle)
+        k = int(np.argmax(differ))
+        require(
+            not differ.any(),
+            f"enumerate_kernel: the outcome changes inside of [{ends[0][k]:.4g}, {ends[1][k]:.4g}] of number "
+            f"{w.shape[1]}: give more equal intervals, or None to bisect",
+        )
 
 
 def _intervals(

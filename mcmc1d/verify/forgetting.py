@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import jax
 import numpy as np
 
-from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates
+from mcmc1d.verify.battery import OneSample, Partition, Replicas, Test, TwoSample, coordinates
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.subject import Look, Subject
 
@@ -25,7 +25,7 @@ class Forgetting:
     steps: int | None = None
     """After so many their laws were all near the right one..."""
     within: float = 0.0
-    """...by this CDF gap, or less."""
+    """...by this CDF gap, and this total variation on a few cells, or less."""
     reasons: list[str] = field(default_factory=list)
     """Why the kernel is wrong."""
     doubts: list[str] = field(default_factory=list)
@@ -34,13 +34,13 @@ class Forgetting:
 
 def forgets(
     subject: Subject,
-    tests: Sequence[Test],
+    tests: Sequence[Test | Partition],
     starts: Sequence[Position],
     fresh: Position,
     seed: Sequence[int],
     inspect: Callable[[Position, Look, int], list[str]],
 ) -> Forgetting:
-    """Walk from each of `starts`, n replicas at each, until every law is near the right one, in CDF.
+    """Walk from each of `starts`, n replicas at each, until every law is near the right one, in CDF and on a few cells.
 
     Near is three times the DKW deviation of n draws at probability 1e-3. After powers of four of steps, and once more a
     step later: a chain that runs through several laws in turn is near the right one in the mean only. `fresh`: n exact
@@ -92,7 +92,7 @@ def forgets(
         )
     return Forgetting(
         doubts=[
-            f"it has not forgotten a bad start: from {point(first, own.start)} its distance in CDF from the law is "
+            f"it has not forgotten a bad start: from {point(first, own.start)} its distance from the law is "
             f"{', '.join(history[worst])} steps; it is slow, or can not get everywhere, or keeps another "
             "law, which more steps= or reversible=True may show (ergodic=False leaves this out)"
         ]
@@ -104,14 +104,16 @@ def _slice(start: Position, look: Look, fresh: Position, own: slice) -> Replicas
     return Replicas(first, Look(positions), fresh, np.zeros(own.stop - own.start))
 
 
-def _distance(tests: Sequence[Test], counts: Sequence[tuple[np.ndarray, ...]], n: int) -> float:
-    """How far the counted laws are from the right ones: the largest CDF gap, or difference of a cell."""
+def _distance(tests: Sequence[Test | Partition], counts: Sequence[tuple[np.ndarray, ...]], n: int) -> float:
+    """How far the counted laws are from the right ones: the largest CDF gap, or total variation on cells."""
     gaps = [0.0]
     for test, each in zip(tests, counts, strict=True):
         if isinstance(test, OneSample):
             gaps.append(test.measured_gap(each))
         elif isinstance(test, TwoSample):
             gaps.append(test.measured_gap(each, n))
+        elif isinstance(test, Partition):
+            gaps.append(test.distance(each, n))
     return max(gaps)
 
 

@@ -8,15 +8,15 @@ import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
-from mcmc1d.verify.design import auxiliary, design
+from mcmc1d.verify.design import auxiliary, design, partitions
 from mcmc1d.verify.diagnose import diagnose
-from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
+from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets, point
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.ledger import Scheme
 from mcmc1d.verify.library import LibrarySubject
 from mcmc1d.verify.power import LEAST, Power
 from mcmc1d.verify.report import Report, Result, Verdict
-from mcmc1d.verify.sampler import Sampler, Tally
+from mcmc1d.verify.sampler import Sampler, Tally, inside
 
 AIM = 0.005
 """The CDF gap that is aimed at unless one is asked for."""
@@ -56,6 +56,10 @@ class Trial:
         """Look at the law and the kernel with a few draws, and choose the tests."""
         sampler, subject = self.sampler, self.sampler.subject
         draws = sampler.draw("design", 0, 0, 2 * REPLICAS)
+        within = inside(sampler.law, draws)
+        if not within.all():
+            at = point(coordinates(draws), int(np.argmin(within)))
+            raise LawError(f"{sampler.law.name}: its own draw {at} lies outside its support; mend the one or the other")
         few = jax.tree.map(lambda a: a[: subject.unit], draws)
         subject.check(few)
         if subject.most is not None:
@@ -108,7 +112,12 @@ class Trial:
         """The draws, the least likely first."""
         log_density = self.sampler.law.log_density
         if log_density is not None:
-            order = np.argsort(np.asarray(jax.vmap(log_density)(draws)))
+            values = np.asarray(jax.vmap(log_density)(draws))
+            bad = np.isnan(values) | np.isposinf(values)
+            if bad.any():
+                at = point(coordinates(draws), int(np.argmax(bad)))
+                raise LawError(f"{self.sampler.law.name}: its log_density is {values[bad][0]} at its own draw {at}")
+            order = np.argsort(values)
         else:
             first = next(iter(coordinates(draws).values()))
             order = np.argsort(-np.abs(first - np.median(first)))
@@ -211,7 +220,8 @@ class Trial:
         count = min(len(jax.tree.leaves(points)[0]), max(1, total // 512))
         n = total // count
         points = jax.tree.map(lambda a: a[:count], points)
-        tests = [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
+        own = [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
+        tests = [*own, *partitions(self.unlikely)]
         starts = subject.crowd(points, self.unlikely, n)
         fresh = sampler.draw("forget", 0, 0, n)
         self.forgotten = forgets(subject, tests, starts, fresh, sampler.words("walk"), sampler.inspect)
