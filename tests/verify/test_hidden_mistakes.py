@@ -1,0 +1,79 @@
+"""Mistakes that no single coordinate shows: parts never reached, rotations, couplings; and laws that contradict themselves.
+
+Each beside a right kernel that passes; at level 1e-5 a right one fails with that probability.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from mcmc1d.verify import Law, LawError, Verdict, verify
+
+
+def normal(d):
+    shape = () if d == 1 else (d,)
+    return Law(
+        sample=lambda rng, n: rng.normal(size=(n, *shape)), cdf=ndtr, log_density=lambda x: -0.5 * jnp.sum(x * x)
+    )
+
+
+def autoregressive(key, x):
+    return 0.5 * x + np.sqrt(0.75) * jax.random.normal(key, x.shape)
+
+
+def keeps_a_sign(key, x):
+    """The sign of the product of all coordinates never changes."""
+    y = jax.random.normal(key, x.shape)
+    return jnp.where(jnp.prod(y) * jnp.prod(x) > 0, y, x)
+
+
+def keeps_a_fifth_apart(key, x):
+    y = jax.random.normal(key, x.shape)
+    return jnp.where((abs(x) < 0.2533) == (abs(y) < 0.2533), y, x)
+
+
+def rotates(key, x):
+    turn = jnp.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]], x.dtype)
+    return 0.9 * (turn @ x) + np.sqrt(1 - 0.81) * jax.random.normal(key, x.shape)
+
+
+def couples(key, x):
+    y = autoregressive(key, x)
+    return y.at[9].set(jnp.abs(y[9]) * jnp.sign(y[0]))
+
+
+@pytest.mark.parametrize(("kernel", "d"), [(keeps_a_sign, 2), (keeps_a_sign, 3), (keeps_a_fifth_apart, 1)])
+def test_a_kernel_that_never_gets_everywhere_does_not_pass(kernel, d):
+    report = verify(kernel, normal(d), replicas=2**15)
+    assert report.verdict is Verdict.INCONCLUSIVE
+    assert "has not forgotten a bad start" in report.reasons[0]
+    assert verify(autoregressive, normal(d), replicas=2**15, reversible=True).passed
+
+
+def test_a_rotation_is_not_reversible_though_each_coordinate_is():
+    assert verify(rotates, normal(2), replicas=2**15).passed
+    report = verify(rotates, normal(2), replicas=2**15, reversible=True)
+    assert report.reasons == ["it is declared reversible and is not: x[0] with x[1] after 1 step"]
+
+
+def test_of_many_coordinates_others_than_neighbours_are_looked_at_together():
+    """In 2^15 replicas; of twelve coordinates 64 of the 66 pairs are."""
+    assert verify(couples, normal(12), replicas=2**15, ergodic=False).verdict is Verdict.FAIL
+    assert verify(autoregressive, normal(12), replicas=2**15).passed
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (Law(sample=lambda rng, n: rng.normal(size=n), cdf=ndtr, support=(0, 1)), "lies outside its support"),
+        (
+            Law(sample=lambda rng, n: rng.normal(size=(n, 2)), cdf=ndtr, log_density=lambda x: jnp.nan * x[0]),
+            "its log_density is nan at its own draw",
+        ),
+    ],
+)
+def test_a_law_that_contradicts_itself_is_named_and_not_the_kernel(law, said):
+    with pytest.raises(LawError, match=said):
+        verify(autoregressive, law)
