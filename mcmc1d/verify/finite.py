@@ -33,8 +33,8 @@ class RingStep(Move):
     """u[0]' = wrap(u[0] + offset / n): one of several offsets, each with its probability, on a ring of n places.
 
     The number chooses the offset and keeps its place inside the offset's interval; w' is the same place in the
-    interval of the opposite offset, so the log-determinant is log(p(-offset) / p(offset)). An opposite that is not given
-    has probability zero: such a step is never accepted.
+    interval of the opposite offset, so the log-determinant is log(p(-offset) / p(offset)). Of an offset whose opposite
+    is not given the steps are never accepted.
     """
 
     n: int = eqx.field(static=True)

@@ -1,4 +1,4 @@
-"""Mistakes that no single coordinate shows: parts never reached, rotations, couplings; and laws that contradict themselves.
+"""Mistakes that no single coordinate shows: parts never reached, rotations, couplings; laws that contradict themselves.
 
 Each beside a right kernel that passes; at level 1e-5 a right one fails with that probability.
 """
