@@ -112,7 +112,9 @@ def test_a_step_off_the_states_is_named():
     with pytest.raises(ValueError, match=r"no state|not piecewise constant"):
         enumerate_kernel(SmallStep(0.1), target, states)
     with pytest.raises(ValueError, match="no state"):
-        enumerate_kernel(LargeStep(), target, State(states.index[:2], states.u[:2]), numbers=[5, None])
+        enumerate_kernel(SMALL, target, State(states.index[:2], states.u[:2]), numbers=[5, None])
+    with pytest.raises(ValueError, match="the outcome changes inside of"):
+        enumerate_kernel(LargeStep(), target, states, numbers=[5, None])
 
 
 def test_a_plan_of_the_wrong_length_is_named():
