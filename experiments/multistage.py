@@ -29,7 +29,7 @@ from mcmc1d.types import Key
 class Config:
     """The experiment's numbers."""
 
-    replicas: int = 10
+    replicas: int = 50
     """Seeds of each method and scene."""
     samples: int = 2**16
     """Work of each image of Table 1."""
@@ -40,7 +40,7 @@ class Config:
     """How many N, each four times the one before."""
 
 
-PROFILES = {"quick": Config(), "paper": Config(replicas=50, samples=2**18, bias_replicas=2**13, bias_sizes=5)}
+PROFILES = {"quick": Config(), "paper": Config(samples=2**18, bias_replicas=2**13, bias_sizes=5)}
 
 SCENES = {"room": room, "glints": glints}
 FIRST = (64, 256, 1024, 4096, 16384)
