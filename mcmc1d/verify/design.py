@@ -10,7 +10,9 @@ import jax
 import numpy as np
 
 from mcmc1d.numerics import require
-from mcmc1d.verify.battery import POOLED, Crossed, Exchangeable, OneSample, Partition, Test, TwoSample, coordinates
+from mcmc1d.verify.battery import POOLED, OneSample, Test, TwoSample, coordinates
+from mcmc1d.verify.exchangeability import Crossed, Exchangeable
+from mcmc1d.verify.forgetting import Partition
 from mcmc1d.verify.law import Bins, Continuous, Law, Position, Statistic
 from mcmc1d.verify.subject import Look
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import jax
 import numpy as np
 
-from mcmc1d.verify.battery import OneSample, Partition, Replicas, Test, TwoSample, coordinates
+from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.subject import Look, Subject
 
@@ -30,6 +30,22 @@ class Forgetting:
     """Why the kernel is wrong."""
     doubts: list[str] = field(default_factory=list)
     """Why nothing can be said."""
+
+
+@dataclass(frozen=True)
+class Partition:
+    """A few cells, whose shares are compared with those of fresh draws: no test, but a distance."""
+
+    cell: Callable[[Position], np.ndarray]
+    size: int
+
+    def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
+        mine, fresh = (self.cell(where) for where in (replicas.look.positions, replicas.fresh))
+        return np.bincount(mine, minlength=self.size), np.bincount(fresh, minlength=self.size)
+
+    def distance(self, counts: tuple[np.ndarray, ...], n: int) -> float:
+        """The total variation of the two."""
+        return float(np.abs(counts[0] - counts[1]).sum() / 2 / n)
 
 
 def forgets(
