@@ -13,8 +13,9 @@ import numpy as np
 
 from mcmc1d import parallel
 from mcmc1d.checkpoint import Place, Saving, describe
+from mcmc1d.checks import require_key, require_whole
 from mcmc1d.compiling import wide_jit
-from mcmc1d.estimators import Estimator
+from mcmc1d.estimators import Estimator, require_estimators
 from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, require
@@ -114,16 +115,15 @@ def run(
         dtype == jnp.float32 or (dtype == jnp.float64 and jnp.zeros(()).dtype == jnp.float64),
         f"run: dtype must be float32, or float64 with JAX's x64 on, not {dtype}",
     )
-    require(steps >= 1, f"run: steps must be at least 1, not {steps}")
-    require(chains >= 1, f"run: chains must be at least 1, not {chains}")
+    require_key(key, "run")
+    require_whole(steps, "run: steps")
+    require_whole(chains, "run: chains")
     if blocks is None:
         blocks = next(b for b in range(min(8, chains), 0, -1) if chains % b == 0)
-    require(
-        blocks >= 1 and chains >= blocks and chains % blocks == 0,
-        f"run: {chains} chains can not be dealt into {blocks} equal blocks",
-    )
+    require_whole(blocks, "run: blocks")
+    require(chains % blocks == 0, f"run: {chains} chains can not be dealt into {blocks} equal blocks")
     kernel.check(target)
-    asked = {} if estimators is None else dict(estimators)
+    asked = require_estimators(estimators)
     start_key, step_key = jax.random.split(key)
     index, u = begin(start_key, target, start, chains, dtype, "run")
     target, kernel, asked = cast(target, dtype), cast(kernel, dtype), cast(asked, dtype)
@@ -177,8 +177,9 @@ def trace(
     """Run chains and keep every state; for integrated autocorrelation times and pictures. Arguments as `run`."""
     kernel, numbers = as_kernel(kernel, "trace: the kernel"), source(random)
     require_multiplexed(target, "trace")
-    require(steps >= 1, f"trace: steps must be at least 1, not {steps}")
-    require(chains >= 1, f"trace: chains must be at least 1, not {chains}")
+    require_key(key, "trace")
+    require_whole(steps, "trace: steps")
+    require_whole(chains, "trace: chains")
     kernel.check(target)
     dtype = jnp.zeros(()).dtype
     start_key, step_key = jax.random.split(key)

@@ -3,6 +3,7 @@
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,6 +19,19 @@ def require_instance(value: Any, kind: type[T], who: str, fix: str = "") -> T:
         raise ValueError(f"{who}: give an instance, {value.__name__}(...), not the class {value.__name__}")
     require(isinstance(value, kind), f"{who} must be a {kind.__name__}, not a {type(value).__name__}{fix}")
     return value
+
+
+def require_whole(value: Any, who: str, least: int = 1) -> None:
+    """Raise `ValueError` unless `value` is a whole number, `least` at least; True is none."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    require(whole and value >= least, f"{who} must be a whole number, {least} at least, not {value!r}")
+
+
+def require_key(key: Any, who: str) -> None:
+    """Raise `ValueError` unless `key` is a random key of JAX: a seed in its place is a common slip."""
+    typed = isinstance(key, jax.Array) and jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key)
+    raw = getattr(key, "dtype", None) == np.uint32 and np.ndim(key) == 1
+    require(typed or raw, f"{who}: the key must be one of JAX, jax.random.key({key if np.ndim(key) == 0 else 0})")
 
 
 def require_box(owner: eqx.Module, lower: Float[Real, "..."], upper: Float[Real, "..."]) -> None:

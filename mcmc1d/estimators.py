@@ -1,7 +1,7 @@
 """What a run accumulates on the fly: sums over steps and chains, never the chains themselves."""
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_cover
+from mcmc1d.checks import require_cover, require_instance
 from mcmc1d.metropolis import Deposits, Kernel, Step
 from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
@@ -33,6 +33,13 @@ class Estimator(eqx.Module):
     @abc.abstractmethod
     def update(self, sums: Any, steps: Step) -> Any:
         """`sums` with the deposits of one step of every chain added."""
+
+
+def require_estimators(estimators: Mapping[str, Estimator] | None) -> dict[str, Estimator]:
+    """The estimators by name, or `ValueError` where what was given is not that."""
+    asked = {} if estimators is None else estimators
+    require(isinstance(asked, Mapping), f"run: give estimators by name, a dict, not a {type(asked).__name__}")
+    return {name: require_instance(asked[name], Estimator, f"run: the estimator {name!r}") for name in asked}
 
 
 def add_deposits(

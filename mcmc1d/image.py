@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance
 from mcmc1d.estimators import Estimator
-from mcmc1d.importance import require_importance
+from mcmc1d.importance import require_importance, require_sampled
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import is_concrete, require
 from mcmc1d.pixels import Pixels
@@ -45,6 +45,8 @@ class Image(Estimator):
             np.shape(target.target.domain[0]) == np.shape(self.f.domain[0]),
             f"Image: {type(self.f).__name__} and {type(target.target).__name__} have points of different shapes",
         )
+        if is_concrete(target.target, self.importance):
+            require_sampled(target.target, self.importance)
         return jnp.zeros((self.pixels.count, 5), dtype)
 
     def update(self, sums: Float[Array, "n 5"], steps: Step) -> Float[Array, "n 5"]:

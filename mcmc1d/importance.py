@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance
+from mcmc1d.compiling import quickly
 from mcmc1d.numerics import cast, is_concrete, parameter, require, require_positive
 from mcmc1d.pixels import Pixels, masses
 from mcmc1d.quadrature import Outline, integrate, midpoints
@@ -234,7 +235,7 @@ def lost_mass(f: Target, importance: Target, cuts: Sequence[Sequence[float]] = (
     return float(masses(lost, edges, cuts).sum()), float(masses(f, edges, cuts).sum())
 
 
-@eqx.filter_jit
+@quickly
 def _both(f: Target, importance: Target, points: Float[Array, "n ..."]) -> tuple[Array, Array]:
     return jax.vmap(f.log_f)(points), jax.vmap(importance.log_f)(points)
 
@@ -265,6 +266,27 @@ def require_importance(f: Target, importance: Target, *, allow_loss: bool = Fals
     raise ValueError(
         f"importance function: {name} is zero at x = {points[k]}, where f = {np.exp(log_f[k]):.6g}: {share}; put a "
         "Floor under it, or say allow_loss=True"
+    )
+
+
+def require_sampled(target: Target, importance: Target) -> None:
+    """Raise `ValueError` unless a chain on `target` samples I: the two may differ by a factor."""
+    points = midpoints(*importance.domain, 256)
+    with jax.enable_x64(True):
+        both = _both(cast(target, jnp.float64), cast(importance, jnp.float64), jnp.asarray(points))
+        log_f, log_i = (np.asarray(a) for a in both)
+    with np.errstate(invalid="ignore"):
+        apart = np.where(np.isneginf(log_f) & np.isneginf(log_i), 0, log_f - log_i)
+    lit = np.isfinite(apart) & np.isfinite(log_f)
+    factor = np.median(apart[lit]) if lit.any() else 0.0
+    # The runner has cast both to its own precision; what float32 does to a logarithm is far below this.
+    off = np.abs(np.where(np.isfinite(log_f), apart - factor, apart)) > 1e-2
+    k = int(np.argmax(off))
+    require(
+        not off.any(),
+        f"Image: the chain must sample the importance function {type(importance).__name__}; its target, "
+        f"{type(target).__name__}, is another density: at x = {points[k]} they are {np.exp(log_i[k]):.6g} and "
+        f"{np.exp(log_f[k]):.6g}",
     )
 
 

@@ -26,7 +26,12 @@ def parameter(value: ArrayLike) -> Real:
     NumPy keeps all 53 bits whether or not x64 is on at construction: a technique made in a float32 program can
     still be verified in float64.
     """
-    return value if isinstance(value, jax.Array) else np.asarray(value, np.float64)
+    if isinstance(value, jax.Array):
+        return value
+    try:
+        return np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"a parameter is a number, or an array of them, not {value!r}") from None
 
 
 def is_concrete(*values: Any) -> bool:

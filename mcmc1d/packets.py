@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.metropolis import Deposits, Info, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, MultipleTry, Proposal, SmallStep
 from mcmc1d.moves.candidates import insert
@@ -73,7 +73,7 @@ class AuxiliaryCentre(Kernel):
     def __init__(self, step: Move, tries: int = 4):
         """`step`: a move that leads to the centre and from there to the candidates; `tries`: p, one at least."""
         require_instance(step, Move, "AuxiliaryCentre: the step")
-        require(tries >= 1, f"AuxiliaryCentre: there must be one candidate at least, not tries={tries}")
+        require_whole(tries, "AuxiliaryCentre: tries")
         self.step_by, self.tries = step, tries
 
     @property

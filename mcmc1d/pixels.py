@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import rising
+from mcmc1d.compiling import quickly
 from mcmc1d.numerics import cast, require
 from mcmc1d.targets import DensityOf, Target
 from mcmc1d.types import Array, Float, Index
@@ -101,7 +102,7 @@ def _gauss(f: Target, edges: list[np.ndarray], fine: list[np.ndarray], order: in
     return result
 
 
-@eqx.filter_jit
+@quickly
 def _density(f: Target, points: Float[Array, "n d"]) -> Float[Array, " n"]:
     return jax.vmap(DensityOf(f))(points)
 

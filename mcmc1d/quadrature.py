@@ -12,6 +12,7 @@ import numpy as np
 from scipy.integrate import cubature
 
 from mcmc1d.checks import rising
+from mcmc1d.compiling import quickly
 from mcmc1d.numerics import cast, require
 from mcmc1d.types import Array, Float
 
@@ -32,7 +33,7 @@ def integrate(
     inner = [b for b in breaks if edges[0] < b < edges[-1]]
     cuts = np.unique(np.concatenate([edges, inner]))
     with jax.enable_x64(True):
-        evaluate = eqx.filter_jit(eqx.filter_vmap(cast(function, jnp.float64)))
+        evaluate = quickly(eqx.filter_vmap(cast(function, jnp.float64)))
 
         def on_nodes(t: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
             # All pieces at once: node t of [0, 1] in each piece, scaled by its width.
@@ -86,7 +87,7 @@ def integrate_box(
     points other than the `breaks`, in two dimensions or more.
     """
     with jax.enable_x64(True):
-        evaluate = eqx.filter_jit(eqx.filter_vmap(cast(function, jnp.float64)))
+        evaluate = quickly(eqx.filter_vmap(cast(function, jnp.float64)))
 
         def values(x: np.ndarray) -> np.ndarray:
             # Padded to multiples of 512, so that pieces of many sizes compile once.
@@ -203,7 +204,7 @@ def integrate_plane(
     near = np.diff(cuts, prepend=-np.inf) > 1e-13 * np.ptp(x_edges)
     a, b = cuts[near][:-1], np.append(cuts[near][1:-1], x_edges[-1])
     with jax.enable_x64(True):
-        evaluate = eqx.filter_jit(eqx.filter_vmap(cast(function, jnp.float64)))
+        evaluate = quickly(eqx.filter_vmap(cast(function, jnp.float64)))
         for pieces in (32, 64, 128, 256, 512):
             inside = np.linspace(y_edges[0], y_edges[-1], pieces + 1)
             strips = _Strips(evaluate, y_edges, np.union1d(y_edges, inside), outlines)

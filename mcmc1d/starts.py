@@ -2,12 +2,12 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_key, require_whole
+from mcmc1d.compiling import quickly
 from mcmc1d.numerics import below_one, cast, require, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
@@ -33,7 +33,8 @@ def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normal
     Hachisuka et al. 2014, section 4: the factor is the number of techniques of the chain, all of them.
     """
     require_multiplexed(target, "normalisation")
-    require(samples >= 2, f"normalisation: two samples at least, not {samples}")
+    require_key(key, "normalisation")
+    require_whole(samples, "normalisation: samples", 2)
     batch = min(samples, 2**18)
     total = square = 0.0
     batches = -(-samples // batch)
@@ -56,16 +57,23 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
     `ValueError` where the density is zero at every probe, is not finite, or is too narrow for rejection.
     """
     require_multiplexed(target, "exact_start")
-    require(count >= 1, f"exact_start: one state at least, not {count}")
+    require_key(key, "exact_start")
+    require_whole(count, "exact_start: count")
     n = target.n_techniques
     require(index is None or 0 <= index < n, f"exact_start: the index must lie in 0..{n - 1}, not {index}")
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     target = cast(target, dtype)
     probe_key, key = jax.random.split(key)
-    probes = np.asarray(_draw(probe_key, target, _CANDIDATES, dtype, index)[1], np.float64)
+    looked, probes, _ = _draw(probe_key, target, _CANDIDATES, dtype, index)
+    probes, log_c = np.asarray(probes, np.float64), np.asarray(looked.seen.log_c)
     bound = 1.25 * float(np.max(probes, where=np.isfinite(probes), initial=0))  # what is not finite is told below
+    top = float(np.max(log_c, where=~np.isnan(log_c), initial=-np.inf))
+    why = "nothing to start from"
+    if top > -np.inf:
+        why = f"its logarithm reaches {top:.4g}: add a constant to log f, no law depends on it"
     require(
-        bound > 0, f"{type(target.target).__name__}: the density is zero at all of 65536 probes; nothing to start from"
+        bound > 0,
+        f"{type(target.target).__name__}: the density is zero at all of {_CANDIDATES} probes; {why}",
     )
     kept: list[State] = []
     found, attempt, since = 0, 0, 0
@@ -138,7 +146,7 @@ def require_defined(target: Multiplexed, state: State, trapped: Bool[Array, " ch
     )
 
 
-@eqx.filter_jit
+@quickly
 def _draw(
     key: Key, target: Multiplexed, count: int, dtype: Any, only: int | None = None
 ) -> tuple[State, Float[Array, " count"], Float[Array, " count"]]:

@@ -8,12 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_cover, require_instance, rising
+from mcmc1d.compiling import quickly
 from mcmc1d.numerics import cast, is_concrete, require
 from mcmc1d.quadrature import integrate
 from mcmc1d.targets import DensityOf, Target
-from mcmc1d.techniques import Family, Several, Technique, sample_shape
+from mcmc1d.techniques import Family, Several, Technique, checked_shape, sample_shape
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 from mcmc1d.weights import Balance, FromFunction, Weights
+
+_LARGEST = 80.0  # of log f: float32 ends at 88, and f is multiplied with weights and by counts
 
 
 class Eval(eqx.Module):
@@ -83,7 +86,7 @@ class Multiplexed(eqx.Module):
         if not isinstance(techniques, Family):
             listed = tuple(techniques) if isinstance(techniques, Sequence) else (techniques,)
             for technique in listed:
-                require_instance(technique, Technique, "Multiplexed: a technique")
+                checked_shape(require_instance(technique, Technique, "Multiplexed: a technique"))
             require(len(listed) > 0, "Multiplexed: give one technique at least")
             techniques = Several(listed)
         self.family = techniques
@@ -187,7 +190,7 @@ class Shares(eqx.Module):
         return jnp.where(f > 0, weights * f, 0)
 
 
-@eqx.filter_jit
+@quickly
 def _look(target: Multiplexed, points: Float[Array, "n ..."]) -> tuple[Array, Array, Array]:
     """Log f, p and log w at each point."""
 
@@ -217,6 +220,12 @@ def _probe(target: Multiplexed, probes: int) -> None:
             raise ValueError(target.target.complaint(points[np.argmax(np.isnan(log_f))]))
     first(np.isposinf(log_f), f"{name} is infinite at x = {{x}}: a pole must not lie on a probe; move it a little")
     require(bool(np.any(np.isfinite(log_f))), f"{name} is zero everywhere on its domain: there is nothing to sample")
+    top = float(np.max(log_f))
+    require(
+        top < _LARGEST,
+        f"{name}: log f reaches {top:.4g}, and f itself is infinite in single precision; subtract a constant from "
+        "log f: no law depends on it",
+    )
     lit = np.isfinite(log_f)
     for i, technique in enumerate(target.techniques):
         who = f"technique {i} ({type(technique).__name__})"

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.metropolis import Deposited, Deposits, Info, Kernel, Step, accept, acceptance, as_kernel
 from mcmc1d.moves import LargeStep, Move, MultipleTry, SmallStep
 from mcmc1d.moves.multiple_try import around, row
@@ -84,7 +84,7 @@ class SplitSample(Kernel):
     def __init__(self, step: Move, tries: int = 4):
         """`step`: a move that leads to each proposal; `tries`: m, one at least."""
         require_instance(step, Move, "SplitSample: the step")
-        require(tries >= 1, f"SplitSample: there must be one proposal at least, not tries={tries}")
+        require_whole(tries, "SplitSample: tries")
         self.step_by, self.tries = step, tries
 
     @property

@@ -128,7 +128,7 @@ def replicas(target: Target, betas: Sequence[float], technique: Technique | None
     require(
         made == wanted,
         f"replicas: the technique must make one replica's x, of shape {wanted}; {type(technique).__name__}'s is of "
-        f"shape {made}",
+        f"shape {made}; name another: replicas(target, betas, technique)",
     )
     return Multiplexed(Replicas(target, betas), Product((technique,) * len(betas)))
 

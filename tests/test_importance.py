@@ -25,6 +25,13 @@ def high(x):
     return x > 0.5
 
 
+class Undivided(Image):
+    """What deposits f of another chain's samples, and is not asked whether it may."""
+
+    def init(self, target, kernel, dtype):
+        return jnp.zeros((self.pixels.count, 5), dtype)
+
+
 class Plane(Target):
     """f = x y on the square, 0 where x < 1/4: integral 15/64."""
 
@@ -123,7 +130,7 @@ def test_what_can_not_be_is_refused(make, message):
 def test_the_image_of_a_line_is_right_and_without_the_division_is_not():
     """24 pixels in two images, 16 blocks: over 7 standard errors (t, 15) with probability 1e-4; detects 2 % or so."""
     importance, pixels = Product((LINE, OVER)), Pixels(12)
-    estimators = {"right": Image(LINE, importance, pixels), "wrong": Image(LINE, LINE, pixels)}
+    estimators = {"right": Image(LINE, importance, pixels), "wrong": Undivided(LINE, LINE, pixels)}
     target = mcmc1d.Multiplexed(importance, Uniform())
     size = {"steps": 200, "chains": 2048, "blocks": 16}
     found = mcmc1d.run(jax.random.key(1), SmallStep(0.3), target, estimators=estimators, **size)
@@ -134,6 +141,18 @@ def test_the_image_of_a_line_is_right_and_without_the_division_is_not():
         score[name] = np.abs((image.mean(0) - exact) / image.std(0, ddof=1) * 4).max()
     assert score["right"] < 7
     assert score["wrong"] > 20
+
+
+def test_a_chain_that_samples_another_density_is_refused():
+    with pytest.raises(ValueError, match=r"must sample the importance function Product; its target, Sinusoid, is anot"):
+        mcmc1d.run(
+            jax.random.key(0),
+            SmallStep(),
+            mcmc1d.Multiplexed(LINE, Uniform()),
+            steps=1,
+            chains=8,
+            estimators={"image": Image(LINE, Product((LINE, OVER)), Pixels(4))},
+        )
 
 
 def test_a_new_table_does_not_compile_again():

@@ -128,10 +128,10 @@ def test_on_the_line_the_published_deposit_is_caught():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: MultipleTry(SmallStep(), 0), "one candidate at least"),
+        (lambda: MultipleTry(SmallStep(), 0), "tries must be a whole number, 1 at least"),
         (lambda: MultipleTry(SmallStep(), 3, candidates=Antithetic()), "p must be even"),
         (lambda: MultipleTry(SmallStep(), 2, ratio="Rg"), '"intervals" or "R_g"'),
-        (lambda: AuxiliaryCentre(SmallStep(), 0), "one candidate at least"),
+        (lambda: AuxiliaryCentre(SmallStep(), 0), "tries must be a whole number, 1 at least"),
     ],
 )
 def test_what_can_not_be_is_refused(make, message):

@@ -242,7 +242,7 @@ def test_normalisation_is_the_integral_of_f():
     ("changes", "message"),
     [
         ({"chains": 10}, "can not be dealt into 4 equal blocks"),
-        ({"steps": 0}, "steps must be at least 1"),
+        ({"steps": 0}, "steps must be a whole number, 1 at least"),
         ({"estimators": {"h": mcmc1d.Histogram([0, 0.5])}}, "do not cover the domain"),
     ],
 )

@@ -76,9 +76,9 @@ def test_a_step_of_u_alone_of_a_users_own_goes_with_a_technique_change():
         (lambda: moves.StepAndChange(moves.ReversibleJump()).check(MANY), "ReversibleJump does to u depends"),
         (lambda: moves.StepAndChange(moves.CoordinateStep(0.1, 99)).check(MANY), "CoordinateStep"),
         (lambda: targets.FromFunction(jnp.exp, -np.inf, 0.0), "both finite"),
-        (lambda: mcmc1d.exact_start(KEY, MANY, 0), "one state at least"),
+        (lambda: mcmc1d.exact_start(KEY, MANY, 0), "count must be a whole number, 1 at least"),
         (lambda: mcmc1d.exact_start(KEY, MANY, 10, index=7), "must lie in 0..1, not 7"),
-        (lambda: mcmc1d.normalisation(KEY, MANY, 0), "two samples at least"),
+        (lambda: mcmc1d.normalisation(KEY, MANY, 0), "samples must be a whole number, 2 at least"),
         (lambda: moves.Mixture({"a": (1.5, moves.LargeStep()), "b": (-0.5, moves.SmallStep())}), "not be negative"),
     ],
 )

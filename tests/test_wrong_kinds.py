@@ -32,6 +32,31 @@ CALLS = {
     "verify.check_move(moves.SmallStep)": "check_move: the move: give an instance, SmallStep(...)",
     "verify.check_move(move, targets.Sinusoid())": "wrap it: Multiplexed(target, techniques)",
     "verify.check_technique(techniques.Tent)": "check_technique: the technique: give an instance, Tent(...)",
+    "run(0, move, target, steps=1)": "run: the key must be one of JAX, jax.random.key(0)",
+    "exact_start(0, target, 1)": "exact_start: the key must be one of JAX",
+    "run(key, move, target, steps=1.5)": "run: steps must be a whole number, 1 at least, not 1.5",
+    "run(key, move, target, steps=True)": "run: steps must be a whole number, 1 at least, not True",
+    "run(key, move, target, steps=1, chains=8, blocks=2.0)": "run: blocks must be a whole number",
+    "run(key, move, target, steps=1, estimators=[Histogram()])": "run: give estimators by name, a dict, not a list",
+    "run(key, move, target, steps=1, estimators={'x': Histogram})": "estimator 'x': give an instance, Histogram(...)",
+    "trace(key, move, target, steps=1.5, chains=1)": "trace: steps must be a whole number",
+    "normalisation(key, target, 2.5)": "normalisation: samples must be a whole number, 2 at least",
+    "moves.SmallStep('a')": "a parameter is a number, or an array of them, not 'a'",
+    "moves.Exchange('a')": "Exchange: width must be a whole number, 1 at least, not 'a'",
+    "moves.CoordinateStep(0.1, 0.5)": "CoordinateStep: coordinate must be a whole number, 0 at least, not 0.5",
+    "moves.Mixture({'a': move})": "Mixture: of move 'a' give (probability, move), not SmallStep",
+    "moves.Mixture([move])": "Mixture: give moves by name",
+    "moves.MultipleTry(move, 1.5)": "MultipleTry: tries must be a whole number, 1 at least, not 1.5",
+    "moves.MultipleTry(move, candidates=moves.Stratified)": "the candidates: give an instance, Stratified(...)",
+    "tempering.replicas(targets.Ring(), [1.0])": "name another: replicas(target, betas, technique)",
+    "flatland.Segment((0, 0), (1, 1), 3)": "Segment: the material must be a Material, not a int",
+    "flatland.Pinhole(3, (1.0, 0.0))": "Pinhole: position is a point, two numbers, not 3",
+    "flatland.Wall(3)": "Wall: segment is a segment's name, not 3",
+    "flatland.Scene('a', [3], flatland.Wall('b'))": "scene a: segment 0 must be a Segment, not a int",
+    "flatland.Scene('a', [flatland.Segment((0, 0), (1, 1))], 4)": "the sensor must be a Pinhole or a Wall, not 4",
+    "verify.verify(move, target, name=3)": "name is a text, not 3",
+    "verify.enumerate_kernel(move, target, State([0], [[0.5]]), [0, None])": "an integer of `numbers` must be a whole number",
+    "verify.enumerate_kernel(move, target, State([0], [[0.5]]), inner=0)": "inner must be a whole number, 1 at least",
     "run(jax.random.key(0, impl='rbg'), move, target, steps=1)": "the random key must be one threefry key",
 }
 SCRIPT = """
@@ -50,10 +75,47 @@ print(json.dumps(said))
 """
 
 
+RETURNED = {
+    "(u[0], z), (x[None], z), z": "Own.forward must return x, v, log_det, each an array; it returned an array",
+    "(u[0], None, z), (x[None], z), z": "each an array; it returned an array, NoneType, an array",
+    "(u[0], u, z), (x[None], z), z": "what x forgets of u must be returned as v, of shape (0,), not (1,)",
+    "(u[0], u[1:], z[None]), (x[None], z), z": "Own.forward: log_det must have the shape (), not (1,)",
+    "(u[0], u[1:], z), (x, z), z": "Own.inverse: u must have the shape (1,), not ()",
+    "(u[0], u[1:], z), x[None], z": "Own.inverse must return u, log_det, each an array; it returned an array",
+    "(u[0], u[1:], z), (x[None], z), z[None]": "Own.log_prob: log_density must have the shape (), not (1,)",
+    "(u[0], u[1:], z), (x[None], z), None": "Own.log_prob must return log_density, each an array; it returned NoneType",
+}
+OWN = """
+def own(text):
+    def returned(k, **names):
+        return eval(text, {"z": jax.numpy.zeros(())} | {"u": jax.numpy.zeros(1), "x": jax.numpy.zeros(())} | names)[k]
+    class Own(techniques.Technique):
+        dim_u = 1
+        def forward(self, u): return returned(0, u=u)
+        def inverse(self, x, v): return returned(1, x=x)
+        def log_prob(self, x): return returned(2, x=x)
+    return Own()
+"""
+
+
 @pytest.fixture(scope="module")
 def said():
-    command = [sys.executable, "-c", SCRIPT, json.dumps(list(CALLS))]
+    command = [sys.executable, "-c", OWN + SCRIPT, json.dumps([*CALLS, *OWNS])]
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+OWNS = {
+    call: message
+    for text, message in RETURNED.items()
+    for call in (f"Multiplexed(targets.Sinusoid(), own({text!r}))", f"verify.check_technique(own({text!r}))")
+}
+
+
+@pytest.mark.parametrize("call", OWNS)
+def test_what_a_technique_returns_in_a_wrong_shape_is_named(call, said):
+    """A (1,) where a () is asked for broadcasts, and a run would go on with it."""
+    assert said[call].startswith("ValueError: ")
+    assert OWNS[call] in said[call]
 
 
 @pytest.mark.parametrize("call", CALLS)

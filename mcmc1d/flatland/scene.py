@@ -5,9 +5,11 @@ Plain numbers on the host: the tracer and the references, which share no code, b
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.numerics import require
 
 Point = tuple[float, float]
@@ -70,9 +72,8 @@ class Segment:
 
     def __post_init__(self):
         for end in ("start", "end"):
-            point = np.asarray(getattr(self, end), np.float64)
-            require(point.shape == (2,), f"Segment: {end} is a point, two numbers, not {getattr(self, end)!r}")
-            object.__setattr__(self, end, tuple(point.tolist()))
+            object.__setattr__(self, end, _point(getattr(self, end), f"Segment: {end}"))
+        require_instance(self.material, Material, "Segment: the material")
 
     @property
     def length(self) -> float:
@@ -96,7 +97,9 @@ class Pinhole:
     pixels: int = 16
 
     def __post_init__(self):
-        _require_pixels("Pinhole", self.pixels)
+        require_whole(self.pixels, "Pinhole: pixels")
+        for name in ("position", "direction"):
+            object.__setattr__(self, name, _point(getattr(self, name), f"Pinhole: {name}"))
         require(
             bool(np.isfinite(self.direction).all()) and np.hypot(*self.direction) > 0,
             f"Pinhole: direction must be finite and not zero, not {self.direction}",
@@ -120,7 +123,8 @@ class Wall:
     pixels: int = 16
 
     def __post_init__(self):
-        _require_pixels("Wall", self.pixels)
+        require_whole(self.pixels, "Wall: pixels")
+        require(isinstance(self.segment, str), f"Wall: segment is a segment's name, not {self.segment!r}")
 
 
 @dataclass(frozen=True)
@@ -136,8 +140,13 @@ class Scene:
     sensor: Pinhole | Wall
 
     def __post_init__(self):
+        require(isinstance(self.segments, Sequence), f"scene {self.name}: segments is a sequence of Segment")
         object.__setattr__(self, "segments", tuple(self.segments))
         require(len(self.segments) > 0, f"scene {self.name}: there is no segment")
+        for k, segment in enumerate(self.segments):
+            require_instance(segment, Segment, f"scene {self.name}: segment {k}")
+        sensor = isinstance(self.sensor, Pinhole | Wall)
+        require(sensor, f"scene {self.name}: the sensor must be a Pinhole or a Wall, not {self.sensor!r}")
         for k, segment in enumerate(self.segments):
             finite = bool(np.isfinite([*segment.start, *segment.end]).all())
             require(finite, f"scene {self.name}: {self.label(k)} has an end that is not finite: {segment}")
@@ -229,9 +238,12 @@ class Scene:
         )
 
 
-def _require_pixels(who: str, pixels: int) -> None:
-    whole = isinstance(pixels, int | np.integer) and pixels >= 1
-    require(whole, f"{who}: pixels must be a whole number, 1 at least, not {pixels!r}")
+def _point(given: Any, who: str) -> Point:
+    """The point as two floats, or `ValueError` unless it is one."""
+    point = np.asarray(given)
+    numbers = point.shape == (2,) and np.issubdtype(point.dtype, np.number)
+    require(numbers, f"{who} is a point, two numbers, not {given!r}")
+    return tuple(point.astype(np.float64).tolist())
 
 
 def distance(point: np.ndarray, ends: np.ndarray) -> float:

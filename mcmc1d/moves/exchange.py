@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.moves.base import EachNumber, Move, Proposal, zero
 from mcmc1d.moves.primary import LargeStep
 from mcmc1d.numerics import normal_quantile, parameter, require, require_positive, stratum, wrap
@@ -24,13 +24,15 @@ class CoordinateStep(Move):
 
     def __check_init__(self):
         require_positive(self, sigma=self.sigma)
+        if self.coordinate is not None:
+            require_whole(self.coordinate, "CoordinateStep: coordinate", 0)
 
     def dim_w(self, target: Multiplexed) -> int:
         return 2 if self.coordinate is None else 1
 
     def check(self, target: Multiplexed) -> None:
         k, m = self.coordinate, target.dim_u
-        require(k is None or 0 <= k < m, f"CoordinateStep: u has coordinates 0 to {m - 1}; there is no {k}")
+        require(k is None or k < m, f"CoordinateStep: u has coordinates 0 to {m - 1}; there is no {k}")
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
         m = target.dim_u
@@ -51,6 +53,7 @@ class ReplicaStep(Move):
 
     def __check_init__(self):
         require_instance(self.step, EachNumber, "ReplicaStep: the step", "; give a SmallStep or a LargeStep")
+        require_whole(self.width, "ReplicaStep: width")
 
     def dim_w(self, target: Multiplexed) -> int:
         return 1 + self.width
@@ -75,6 +78,9 @@ class Exchange(Move):
 
     width: int = eqx.field(static=True, default=1)
 
+    def __check_init__(self):
+        require_whole(self.width, "Exchange: width")
+
     def dim_w(self, target: Multiplexed) -> int:
         return 1
 
@@ -91,7 +97,7 @@ class Exchange(Move):
 def _require_replicas(who: str, target: Multiplexed, width: int, least: int) -> None:
     m = target.dim_u
     require(
-        width >= 1 and m % width == 0 and m // width >= least,
+        m % width == 0 and m // width >= least,
         f"{who}: u must hold {least} replicas of {width} numbers or more, and nothing else; it has {m} numbers",
     )
 

@@ -34,7 +34,10 @@ class Mixture(Move):
         `seldom`: the names of moves that propose only in those chains of a batch that have chosen them: faster for a
         move that is chosen by one in ten or fewer and costs more than all others, slower else. The law is the same.
         """
-        require(len(moves) > 0, "Mixture: give one move at least")
+        require(isinstance(moves, Mapping) and len(moves) > 0, "Mixture: give moves by name, one at least")
+        for name, pair in moves.items():
+            two = isinstance(pair, tuple) and len(pair) == 2
+            require(two, f"Mixture: of move {name!r} give (probability, move), not {type(pair).__name__}")
         self.names, self.seldom = tuple(moves), tuple(seldom)
         unknown = set(self.seldom) - set(self.names)
         require(not unknown, f"Mixture: seldom names no move of it: {', '.join(sorted(unknown))}")

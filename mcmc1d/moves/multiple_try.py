@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.compiling import quickly
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.candidates import Antithetic, Candidates, Independent, Rotated, Stratified
 from mcmc1d.moves.primary import ExponentialStep, SmallStep
@@ -90,10 +91,12 @@ class MultipleTry(Move):
     ):
         """`tries`: p, one at least; `log_weight`: any function, see `LogWeight`; `candidates`: independent, if None."""
         require_instance(step, Move, "MultipleTry: the step")
-        require(tries >= 1, f"MultipleTry: there must be one candidate at least, not tries={tries}")
+        require_whole(tries, "MultipleTry: tries")
         require(ratio in ("intervals", "R_g"), f'MultipleTry: ratio must be "intervals" or "R_g", not {ratio!r}')
         self.step, self.tries, self.log_weight, self.ratio = step, tries, log_weight, ratio
-        self.candidates = Independent() if candidates is None else candidates
+        self.candidates = require_instance(
+            Independent() if candidates is None else candidates, Candidates, "MultipleTry: the candidates"
+        )
         self.candidates.check(tries)
 
     def dim_w(self, target: Multiplexed) -> int:
@@ -192,7 +195,7 @@ def _require_symmetric(move: MultipleTry, target: Multiplexed, probes: int = 64)
         gap = forth - back - (y.state.seen.log_c - x.seen.log_c + y.log_det)
         return jnp.where(possible(y) & (x.seen.log_c > -jnp.inf), jnp.abs(gap), 0)
 
-    gaps = np.asarray(eqx.filter_jit(jax.vmap(asymmetry))(index, u, w))
+    gaps = np.asarray(quickly(jax.vmap(asymmetry))(index, u, w))
     bad = ~(gaps < 1e-3)
     if bad.any():
         k = int(np.argmax(bad))

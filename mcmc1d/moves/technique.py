@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance
+from mcmc1d.compiling import quickly
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.perturbations import LinearStep, TruncatedStep, UniformStep
 from mcmc1d.moves.primary import ExponentialStep, LargeStep, SmallStep
@@ -143,7 +144,7 @@ def _require_of_u(step: Move, target: Multiplexed, probes: int = 64) -> None:
         proposal = step.propose(target, target.evaluate(State(index, u)), w)
         return proposal.state.u, proposal.w, proposal.log_det, proposal.state.index - index
 
-    every = eqx.filter_jit(jax.vmap(jax.vmap(at, in_axes=(None, 0, 0)), in_axes=(0, None, None)))
+    every = quickly(jax.vmap(jax.vmap(at, in_axes=(None, 0, 0)), in_axes=(0, None, None)))
     found = every(jnp.arange(target.n_techniques), u, w)
     alike = all(np.allclose(part, part[:1], atol=1e-6, equal_nan=True) for part in map(np.asarray, found[:3]))
     require(

@@ -1,6 +1,6 @@
 """Sampling techniques as bijections u <-> (x, v); a family in each file, with its `EXAMPLES`."""
 
-from mcmc1d.techniques.base import Inversion, Technique, density_within, dim_v, sample_shape, within
+from mcmc1d.techniques.base import Inversion, Technique, checked_shape, density_within, dim_v, sample_shape, within
 from mcmc1d.techniques.compose import Compose
 from mcmc1d.techniques.disk import ConcentricDisk, PolarDisk, ProjectedCap
 from mcmc1d.techniques.elementary import Ramp, Tent, Uniform
@@ -39,6 +39,7 @@ __all__ = [
     "Triangle",
     "TruncatedNormal",
     "Uniform",
+    "checked_shape",
     "density_within",
     "dim_v",
     "sample_shape",

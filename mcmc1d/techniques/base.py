@@ -1,13 +1,15 @@
 """What a sampling technique is: a bijection between primary samples and (the sample, what the sample forgets)."""
 
 import abc
+import math
 from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from mcmc1d.numerics import below_one, limit
+from mcmc1d.numerics import below_one, limit, require
 from mcmc1d.types import Array, Corners, Float, Scalar
 
 Forward: TypeAlias = tuple[Float[Array, "..."], Float[Array, " k"], Scalar]
@@ -102,8 +104,50 @@ def _snap(x: Scalar, lower: Any, upper: Any) -> Scalar:
 
 def sample_shape(technique: Technique) -> tuple[int, ...]:
     """The shape of the technique's x: () for a scalar."""
-    u = jax.ShapeDtypeStruct((technique.dim_u,), jnp.zeros(()).dtype)
-    return eqx.filter_eval_shape(technique.forward, u)[0].shape
+    return eqx.filter_eval_shape(technique.forward, _floats(technique.dim_u))[0].shape
+
+
+def checked_shape(technique: Technique) -> tuple[int, ...]:
+    """`sample_shape`; `ValueError` unless all that the technique returns has the shape that it should have.
+
+    Nothing is computed. What else would be told in other words: a (1,) for a () broadcasts, and is wrong silently.
+    """
+    m = technique.dim_u
+    x, v = _returned(technique, "forward", (_floats(m),), x=None, v=None, log_det=())[:2]
+    d = math.prod(np.shape(x))
+    who = f"{type(technique).__name__}.forward"
+    require(
+        np.shape(v) == (m - d,),
+        f"{who}: u has {m} numbers and x {d}; what x forgets of u must be returned as v, of shape ({m - d},), not "
+        f"{np.shape(v)}",
+    )
+    x, v = _floats(*np.shape(x)), _floats(*np.shape(v))
+    _returned(technique, "inverse", (x, v), u=(m,), log_det=())
+    _returned(technique, "log_prob", (x,), log_density=())
+    return x.shape
+
+
+def _floats(*shape: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype)
+
+
+def _returned(technique: Technique, method: str, given: tuple[Any, ...], **promised: tuple[int, ...] | None) -> Any:
+    """The shapes of what a method returns, or `ValueError` unless it is what was promised; None may have any shape."""
+    found = eqx.filter_eval_shape(getattr(technique, method), *given)
+    parts = found if isinstance(found, tuple) else (found,)
+    who = f"{type(technique).__name__}.{method}"
+    arrays = [isinstance(part, jax.ShapeDtypeStruct | float | int | np.ndarray) for part in parts]
+    kinds = ["an array" if array else type(part).__name__ for array, part in zip(arrays, parts, strict=True)]
+    require(
+        len(parts) == len(promised) and all(arrays),
+        f"{who} must return {', '.join(promised)}, each an array; it returned {', '.join(kinds)}",
+    )
+    for (name, shape), part in zip(promised.items(), parts, strict=True):
+        require(
+            shape is None or np.shape(part) == shape,
+            f"{who}: {name} must have the shape {shape}, not {np.shape(part)}",
+        )
+    return parts
 
 
 def dim_v(technique: Technique) -> int:

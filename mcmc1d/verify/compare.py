@@ -13,14 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from mcmc1d.compiling import jit_with
 from mcmc1d.verify.contract import Check, numbers
-
-quickly = jit_with(xla_backend_optimization_level=1, xla_llvm_disable_expensive_passes=True)
-"""For code that is compiled to run a few times: compiling is nearly all of a contract's time.
-
-Level 0 compiles no faster, and wrongly: jaxlib 0.10.2 then returned another number for the place inside an interval.
-"""
 
 TOLERANCE = {np.dtype(np.float64): 1e-10, np.dtype(np.float32): 2e-5}
 """Times the condition number of a point: 5e5 roundings in float64; 170 in float32, where fewer digits are to spare."""

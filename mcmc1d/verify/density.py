@@ -10,6 +10,7 @@ import numpy as np
 from scipy.integrate import cubature
 from scipy.stats import qmc
 
+from mcmc1d.compiling import quickly
 from mcmc1d.numerics import cast
 from mcmc1d.quadrature import integrate_box
 from mcmc1d.techniques import Technique, sample_shape
@@ -174,7 +175,7 @@ def _by_net(density: _Density, lower: np.ndarray, upper: np.ndarray) -> float:
     """
     points = lower + (upper - lower) * qmc.Sobol(lower.size, rng=0).random(_NET)
     with jax.enable_x64(True):
-        values = np.asarray(eqx.filter_jit(eqx.filter_vmap(cast(density, jnp.float64)))(jnp.asarray(points)))
+        values = np.asarray(quickly(eqx.filter_vmap(cast(density, jnp.float64)))(jnp.asarray(points)))
     return float(values.mean() * np.prod(upper - lower))
 
 
@@ -189,7 +190,7 @@ def _between(density: _Density, cuts: np.ndarray) -> tuple[float, float, float]:
     tiny = np.finfo(np.float64).tiny  # what XLA does not flush to zero
     ulp = np.maximum(np.abs(np.nextafter(ends, ends + half) - ends), tiny)
     with jax.enable_x64(True):
-        evaluate = eqx.filter_jit(eqx.filter_vmap(cast(density, jnp.float64)))
+        evaluate = quickly(eqx.filter_vmap(cast(density, jnp.float64)))
 
         def on_nodes(t: np.ndarray) -> np.ndarray:
             x = ends + half * t**4

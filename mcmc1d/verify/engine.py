@@ -93,6 +93,7 @@ def verify(
         require(value is None or isinstance(value, int | np.integer), f"{what} must be a whole number, not {value!r}")
     require(0.5 <= power < 1, f"power is a probability from 0.5 to 1, not {power}")
     require(max_weight >= 1, f"max_weight is the largest total weight of a step, 1 or more, not {max_weight}")
+    require(name is None or isinstance(name, str), f"name is a text, not {name!r}")
     name = name or f"{subject.name} on {law.name}"
     if level is None:
         level = 1e-5 if ledger is None else ledger.share(name)

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.compiling import quickly
 from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.technique import log_ratio
@@ -133,6 +134,8 @@ def enumerate_kernel(
     kernel = as_kernel(kernel, "enumerate_kernel: the kernel")
     require_instance(target, Multiplexed, "enumerate_kernel: the target")
     kernel.check(target)
+    require_whole(probes, "enumerate_kernel: probes", 2)
+    require_whole(inner, "enumerate_kernel: inner")
     with jax.enable_x64(True):
         wide = cast(kernel, jnp.float64)
         target = cast(target, jnp.float64)
@@ -140,6 +143,9 @@ def enumerate_kernel(
         r = wide.dim_w(target)
         plan: list[int | None] = [None] * r if numbers is None else list(numbers)
         require(len(plan) == r, f"enumerate_kernel: the kernel has {r} numbers; `numbers` names {len(plan)}")
+        for q in plan:
+            if q is not None:
+                require_whole(q, "enumerate_kernel: an integer of `numbers`")
         found = [_enumerate(run, plan, probes + k, inner, k) for k in range(2)]
         for name in ("matrix", "deposits"):
             apart = np.abs(getattr(found[0], name) - getattr(found[1], name)).max()
@@ -259,7 +265,7 @@ class _Runner:
         def one(who: Array, w: Array) -> Step:
             return kernel.step(target, jax.tree.map(lambda leaf: leaf[who], self.states), w)
 
-        self._step = eqx.filter_jit(jax.vmap(one))
+        self._step = quickly(jax.vmap(one))
 
     def steps(self, who: np.ndarray, w: np.ndarray) -> Step:
         """The outcomes, as NumPy arrays with a leading axis."""

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.compiling import traced_once, wide_jit
+from mcmc1d.compiling import quickly, traced_once, wide_jit
 from mcmc1d.numerics import require
 from mcmc1d.types import Array, Key
 from mcmc1d.verify.law import Position
@@ -121,7 +121,7 @@ class JaxSubject(Subject):
         if self.kernel.init is None:
             return False
         one = jax.tree.map(lambda a: jnp.asarray(a[0]), start)
-        parts = [jax.tree.leaves(eqx.filter_jit(self.kernel.begin)(jax.random.key(k), one)) for k in (0, 1)]
+        parts = [jax.tree.leaves(quickly(self.kernel.begin)(jax.random.key(k), one)) for k in (0, 1)]
         pairs = [pair for pair in zip(*parts, strict=True) if not jnp.issubdtype(pair[0].dtype, jax.dtypes.extended)]
         return any(bool(np.any(np.asarray(a) != np.asarray(b))) for a, b in pairs)
 
@@ -188,7 +188,7 @@ class HostSubject(Subject):
             done = time
 
 
-@eqx.filter_jit
+@quickly
 def _begin(kernel: JaxKernel, key: Key, ids: Array, start: Any) -> Any:
     def one(identity: Array, position: Any) -> Any:
         return kernel.begin(jax.random.fold_in(jax.random.fold_in(key, identity), 0), position)

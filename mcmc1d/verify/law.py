@@ -5,11 +5,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from mcmc1d.chain import exact_start
+from mcmc1d.compiling import quickly
 from mcmc1d.numerics import require
 from mcmc1d.planar_histogram import planar_joint_masses
 from mcmc1d.state import Multiplexed, State
@@ -225,7 +225,7 @@ def positions(target: Multiplexed, state: State) -> Position:
     return {"index": np.asarray(evaluated.index), "x": np.asarray(evaluated.seen.x), "u": np.asarray(evaluated.u)}
 
 
-@eqx.filter_jit
+@quickly
 def _evaluate(target: Multiplexed, state: State) -> State:
     return jax.vmap(target.evaluate)(state)
 

@@ -3,12 +3,11 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.compiling import traced_once, wide_jit
+from mcmc1d.compiling import quickly, traced_once, wide_jit
 from mcmc1d.metropolis import Cycle, Kernel, Metropolis
 from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
@@ -82,7 +81,7 @@ def _advance_library(
     return State(after.index, after.u.T), where, picked
 
 
-@eqx.filter_jit
+@quickly
 def _one_step(key: Key, kernel: Kernel, target: Multiplexed, state: State) -> tuple[State, Array]:
     states = jax.vmap(target.evaluate, out_axes=-1)(state)
     step = _library_step(key, kernel, target, states, jnp.asarray(0))

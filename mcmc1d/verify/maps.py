@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.techniques import Technique, sample_shape
+from mcmc1d.compiling import quickly
+from mcmc1d.techniques import Technique, checked_shape
 from mcmc1d.types import Array, Float, Scalar
-from mcmc1d.verify.compare import quickly
 from mcmc1d.verify.contract import numbers
 
 
@@ -19,7 +19,7 @@ class Maps:
 
     def __init__(self, technique: Technique, dtype: np.dtype):
         self.technique, self.dtype = technique, dtype
-        self.shape = sample_shape(technique)
+        self.shape = checked_shape(technique)
         self.d = int(np.prod(self.shape))
 
     def forward(self, u: np.ndarray) -> list[np.ndarray]:

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, rising
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import require
@@ -108,7 +108,7 @@ class Operator:
         Extrapolated to cells of no width from these cells and from cells twice as wide, whose flux is the same net's.
         Raises `ValueError` where the net was too small to find it.
         """
-        edges = np.asarray(edges, np.float64)
+        edges = rising(np.asarray(edges, np.float64), "law_of")
         # Each scramble's own starts say how x lies inside the cells, so that its law is independent of the others'.
         insides = [self._inside(edges, function, starts) for starts in self.flux.points]
         fine, coarse = np.arange(self.mean_flux.shape[0]), self.flux.cells.coarser()

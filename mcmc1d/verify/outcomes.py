@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.compiling import quickly
 from mcmc1d.metropolis import Kernel, Metropolis, acceptance
 from mcmc1d.moves import Mixture, Move, Proposal
 from mcmc1d.numerics import below_one, cast
@@ -138,13 +139,14 @@ def find_atoms(flux: KernelFlux, seed: int, steps: int = 3, chains: int = 2**13)
     rng = np.random.default_rng([seed, 99])
     found: list[list[float]] = [[] for _ in range(m)]
 
-    @eqx.filter_jit
+    @quickly
     def ends(index: Array, numbers: Array) -> Array:
         def one(index: Index, numbers: Array) -> Array:
+            def step(state: State, w: Array) -> tuple[State, None]:
+                return kernel.step(target, state, w).state, None
+
             state = target.evaluate(State(index, numbers[:m]))
-            for k in range(steps):
-                state = kernel.step(target, state, numbers[m + k * r : m + (k + 1) * r]).state
-            return state.u
+            return jax.lax.scan(step, state, numbers[m:].reshape(steps, r))[0].u
 
         return jax.vmap(one)(index, numbers)
 

@@ -11,12 +11,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from mcmc1d.compiling import quickly
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.numerics import still
 from mcmc1d.state import Eval, Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Real, Scalar
-from mcmc1d.verify.compare import quickly
 
 
 class Outcome(eqx.Module):

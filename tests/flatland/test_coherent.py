@@ -83,5 +83,5 @@ def test_errors_say_what_is_wrong():
         CoherentMLT(chains=1)
     with pytest.raises(ValueError, match="large is a probability"):
         CoherentMLT(large=2.0)
-    with pytest.raises(ValueError, match="one candidate at least"):
+    with pytest.raises(ValueError, match="tries must be a whole number, 1 at least"):
         CoherentMLT(tries=0).kernel()

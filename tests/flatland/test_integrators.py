@@ -102,8 +102,10 @@ def test_rays_are_counted_and_a_jump_traces_none():
     ("changes", "message"),
     [
         ({"integrator": "bidirectional"}, "there is no integrator 'bidirectional'; known: pt, lt, bdpt"),
-        ({"lengths": (0, 1)}, "lengths are different numbers of edges, 1 at least"),
-        ({"samples": 1}, "samples must be 2 at least"),
+        ({"lengths": (0, 1)}, "lengths: a number of edges must be a whole number, 1 at least, not 0"),
+        ({"lengths": (1, 1)}, "lengths are different numbers of edges"),
+        ({"lengths": 1.5}, "lengths: a number of edges must be a whole number, 1 at least, not 1.5"),
+        ({"samples": 1}, "samples must be a whole number, 2 at least"),
     ],
 )
 def test_refusals(changes, message):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import jax
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_key, require_whole
 from mcmc1d.flatland.integrators.base import Integrator
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT, RJMLT
 from mcmc1d.flatland.integrators.coherent import CoherentMLT
@@ -79,12 +79,13 @@ def integrate(
         integrator = known[integrator]
     require_instance(integrator, Integrator, "integrate: the integrator")
     require_instance(scene, Scene, "integrate: the scene")
-    each = range(1, lengths + 1) if isinstance(lengths, int) else tuple(lengths)
-    require(
-        len(each) > 0 and min(each) >= 1 and len(set(each)) == len(each),
-        f"integrate: lengths are different numbers of edges, 1 at least, not {lengths}",
-    )
-    require(samples >= 2, f"integrate: samples must be 2 at least, not {samples}")
+    for k in lengths if isinstance(lengths, Sequence) else (lengths,):
+        require_whole(k, "integrate: lengths: a number of edges")
+    each = tuple(lengths) if isinstance(lengths, Sequence) else range(1, lengths + 1)
+    distinct = len(set(each)) == len(each) > 0
+    require(distinct, f"integrate: lengths are different numbers of edges, one at least, not {lengths}")
+    require_key(key, "integrate")
+    require_whole(samples, "integrate: samples", 2)
     scene = scene if pixels is None else scene.with_pixels(pixels)
     for k in each:
         integrator.check(scene, k)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, gmres
 
+from mcmc1d.checks import require_whole
 from mcmc1d.flatland.reference.glossy import Directions, lobe
 from mcmc1d.flatland.reference.mesh import Resolution, make_mesh
 from mcmc1d.flatland.reference.operators import FILM, IRRADIANCE, Gather, Sources, gather, incoming
@@ -58,7 +59,7 @@ class Reference:
 
 def image(scene: Scene, lengths: int, resolution: Resolution | None = None) -> Reference:
     """The images of paths of exactly 1, 2, ..., `lengths` edges."""
-    require(lengths >= 1, f"image: lengths must be 1 at least, not {lengths}")
+    require_whole(lengths, "image: lengths")
     return _compared(scene, resolution, lambda r: (_Transport(scene, lengths - 1, r).orders(lengths), 0.0))
 
 
