@@ -55,7 +55,7 @@ CALLS = {
     "flatland.Scene('a', [3], flatland.Wall('b'))": "scene a: segment 0 must be a Segment, not a int",
     "flatland.Scene('a', [flatland.Segment((0, 0), (1, 1))], 4)": "the sensor must be a Pinhole or a Wall, not 4",
     "verify.verify(move, target, name=3)": "name is a text, not 3",
-    "verify.enumerate_kernel(move, target, State([0], [[0.5]]), [0, None])": "an integer of `numbers` must be a whole number",
+    "verify.enumerate_kernel(move, target, State([0], [[0.5]]), [0, None])": "an integer of `numbers` must be a whole",
     "verify.enumerate_kernel(move, target, State([0], [[0.5]]), inner=0)": "inner must be a whole number, 1 at least",
     "run(jax.random.key(0, impl='rbg'), move, target, steps=1)": "the random key must be one threefry key",
 }
