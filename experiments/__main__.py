@@ -1,6 +1,7 @@
 """`python -m experiments`: list and run the experiments, show their claims."""
 
 import dataclasses
+import gc
 import json
 import time
 from pathlib import Path
@@ -212,6 +213,8 @@ def _print_claims(found: list[framework.Claim]) -> None:
 
 def main() -> None:
     """The command line: what a user got wrong is one line and exit code 2."""
+    # Tracing makes objects by the million that stay: they are looked through for garbage less often, 3 % of the time.
+    gc.set_threshold(100_000)
     # Compiled code is kept between runs, here and not in the library: a program's settings are the program's.
     keep_compiled()
     try:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_cover, require_instance
+from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposits, Kernel, Step
 from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
@@ -166,9 +167,11 @@ class Expectation(Estimator):
         return jax.tree.map(lambda total, new: total + new.sum((0, 1)), sums, found)
 
 
-EXAMPLES = {
-    "histogram": Histogram(50),
-    "joint_histogram": Histogram([0, 0.2, 0.5, 0.9, 1.0], joint=True),
-    "acceptance": Acceptance(),
-    "expectation": Expectation(lambda x: x * x),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "histogram": Histogram(50),
+        "joint_histogram": Histogram([0, 0.2, 0.5, 0.9, 1.0], joint=True),
+        "acceptance": Acceptance(),
+        "expectation": Expectation(lambda x: x * x),
+    }
+)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance
 from mcmc1d.estimators import Estimator
+from mcmc1d.examples import Examples
 from mcmc1d.importance import require_importance, require_sampled
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import is_concrete, require
@@ -125,4 +126,4 @@ def _examples() -> dict[str, Image]:
     return {"image": Image(Sinusoid(), FUNCTIONS["product"], Pixels(10))}
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)

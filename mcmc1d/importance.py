@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance
 from mcmc1d.compiling import quickly
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import cast, is_concrete, parameter, require, require_positive
 from mcmc1d.pixels import Pixels, masses
 from mcmc1d.quadrature import Outline, integrate, midpoints
@@ -303,4 +304,4 @@ def _examples() -> dict[str, Target]:
     }
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)

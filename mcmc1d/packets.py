@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposits, Info, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, MultipleTry, Proposal, SmallStep
 from mcmc1d.moves.candidates import insert
@@ -123,8 +124,10 @@ def _deposits(families: list[State], weights: Float[Array, " n"], home: State) -
     return Deposits(x, jnp.where(lit, index, home.index), weights)
 
 
-EXAMPLES = {
-    "published_deposit": PublishedDeposit(MultipleTry(SmallStep(0.2), 3)),
-    "published_deposit_by_weights": PublishedDeposit(MultipleTry(SmallStep(0.2), 3), "weights"),
-    "auxiliary_centre": AuxiliaryCentre(SmallStep(0.2), 3),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "published_deposit": PublishedDeposit(MultipleTry(SmallStep(0.2), 3)),
+        "published_deposit_by_weights": PublishedDeposit(MultipleTry(SmallStep(0.2), 3), "weights"),
+        "auxiliary_centre": AuxiliaryCentre(SmallStep(0.2), 3),
+    }
+)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_cover, rising
 from mcmc1d.estimators import Estimator, add_deposits
+from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import require
 from mcmc1d.quadrature import Outline, integrate_plane
@@ -75,7 +76,9 @@ def _require_cover(who: str, target: Multiplexed, x_edges: np.ndarray, y_edges: 
         require_cover(f"{who}, along x[{k}]", edges, (lower[k], upper[k]), name)
 
 
-EXAMPLES = {
-    "planar_histogram": Histogram2D(np.linspace(0, 1, 17), np.linspace(0, 1, 9)),
-    "planar_joint_histogram": Histogram2D([0, 0.2, 0.7, 1], [0, 0.5, 1], joint=True),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "planar_histogram": Histogram2D(np.linspace(0, 1, 17), np.linspace(0, 1, 9)),
+        "planar_joint_histogram": Histogram2D([0, 0.2, 0.7, 1], [0, 0.5, 1], joint=True),
+    }
+)

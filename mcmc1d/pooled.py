@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance, rising
+from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, SmallStep
 from mcmc1d.numerics import cast, require, select
@@ -236,6 +237,6 @@ def _examples() -> dict[str, Target | Kernel]:
     }
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)
 
 __all__ = ["Floored", "Pooled", "PooledDeposit", "floored", "integral", "pooled", "samples"]

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_instance
+from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, OfMove, Step, accept
 from mcmc1d.moves import Move
 from mcmc1d.moves.exchange import Exchange
@@ -127,6 +128,6 @@ def _examples() -> dict[str, Target | ReplicaDeposit]:
     }
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)
 
 __all__ = ["ReplicaDeposit", "Replicated", "replicated"]

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, Info, Kernel, Step, accept, acceptance, as_kernel
 from mcmc1d.moves import LargeStep, Move, MultipleTry, SmallStep
 from mcmc1d.moves.multiple_try import around, row
@@ -115,7 +116,9 @@ class SplitSample(Kernel):
         return Step(step.state, deposits, step.info)
 
 
-EXAMPLES = {
-    "sub_chain": SubChain(LargeStep(), MultipleTry(SmallStep(0.1), 3), 4),
-    "split_sample": SplitSample(SmallStep(0.2), 3),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "sub_chain": SubChain(LargeStep(), MultipleTry(SmallStep(0.1), 3), 4),
+        "split_sample": SplitSample(SmallStep(0.2), 3),
+    }
+)

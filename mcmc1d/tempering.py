@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance, rising
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import is_concrete, parameter, require
 from mcmc1d.state import Multiplexed
 from mcmc1d.targets import Target
@@ -139,4 +140,4 @@ def _examples() -> dict[str, Target]:
     return {"replicas": Replicas(walls_and_valley(), [1.0, 0.3])}
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import log_sum, parameter, pick, require, require_positive
 from mcmc1d.targets import Target
 from mcmc1d.techniques import Technique
@@ -177,10 +178,14 @@ def _examples() -> dict[str, Weights]:
     }
 
 
-EXAMPLES = {
-    "balance": Balance(),
-    "power": Power(),
-    "maximum": Maximum(),
-    "cutoff": FromFunction(lambda x, p: jnp.where(p < 0.2 * p.max(), 0, p) / jnp.where(p < 0.2 * p.max(), 0, p).sum()),
-    **_examples(),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "balance": Balance(),
+        "power": Power(),
+        "maximum": Maximum(),
+        "cutoff": FromFunction(
+            lambda x, p: jnp.where(p < 0.2 * p.max(), 0, p) / jnp.where(p < 0.2 * p.max(), 0, p).sum()
+        ),
+        **_examples(),
+    }
+)

@@ -10,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.bidirectional import Bidirectional, Joined
 from mcmc1d.flatland.evaluation import reads
 from mcmc1d.flatland.paths import Light, Paths
@@ -223,6 +224,6 @@ def _examples() -> dict[str, Any]:
     return {"light_of_any_length": light, "shorter": Shorter(Joined(shorter, 2), longest)}
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)
 
 __all__ = ["EXAMPLES", "AnyLength", "LightOfAnyLength", "Shorter"]

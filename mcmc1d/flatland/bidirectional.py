@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.evaluation import evaluate, reads
 from mcmc1d.flatland.geometry import Vector, Walls
 from mcmc1d.flatland.paths import EXAMPLES as LIT
@@ -295,4 +296,4 @@ def _log_density(t: int, g: Geometry, eye: Float[Array, " vertices"], light: Flo
     return jnp.where(jnp.any(joined), -jnp.inf, jnp.sum(eye[:t]) + jnp.sum(light[t:]))
 
 
-EXAMPLES = {"joined": Joined(LIT["light"].paths, 2)}
+EXAMPLES = Examples(lambda: {"joined": Joined(LIT["light"].paths, 2)})

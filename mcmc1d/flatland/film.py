@@ -9,6 +9,7 @@ import numpy as np
 
 from mcmc1d.chain import Run
 from mcmc1d.estimators import Estimator
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.metropolis import Kernel, Step
@@ -89,4 +90,4 @@ def _batch(key: Key, target: Multiplexed, paths: Paths) -> Float[Array, "2 n"]:
     return jnp.stack([zeros.at[pixel].add(value), zeros.at[pixel].add(value * value)])
 
 
-EXAMPLES = {"exposure": Exposure(LIT["light"].paths)}
+EXAMPLES = Examples(lambda: {"exposure": Exposure(LIT["light"].paths)})

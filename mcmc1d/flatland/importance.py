@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Light, LightTimes, Paths
 from mcmc1d.flatland.scene import Scene
@@ -59,6 +60,8 @@ class OverPixels(LightTimes):
         return value if self.shader is None else value + self.shader.log_factor(self.light.paths, x)
 
 
-EXAMPLES = {"over_pixels": OverPixels(LIT["light"], np.linspace(1, 2, LIT["light"].paths.sensor.pixels))}
+EXAMPLES = Examples(
+    lambda: {"over_pixels": OverPixels(LIT["light"], np.linspace(1, 2, LIT["light"].paths.sensor.pixels))}
+)
 
 __all__ = ["EXAMPLES", "OverPixels", "Shader", "Touches"]

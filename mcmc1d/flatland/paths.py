@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.geometry import Vector, Walls, where
 from mcmc1d.flatland.scattering import Local, brdf, local, log_density
 from mcmc1d.flatland.scene import Scene
@@ -286,4 +287,4 @@ def _examples() -> dict[str, Light]:
     return {"light": Light(Paths(scene("box"), 2))}
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachNumber, Move, Proposal, zero
 from mcmc1d.moves.primary import LargeStep
 from mcmc1d.numerics import normal_quantile, parameter, require, require_positive, stratum, wrap
@@ -102,9 +103,11 @@ def _require_replicas(who: str, target: Multiplexed, width: int, least: int) -> 
     )
 
 
-EXAMPLES = {
-    "coordinate_step": CoordinateStep(0.1),
-    "coordinate_step_first": CoordinateStep(0.3, 0),
-    "exchange": Exchange(),
-    "replica_step": ReplicaStep(LargeStep()),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "coordinate_step": CoordinateStep(0.1),
+        "coordinate_step_first": CoordinateStep(0.3, 0),
+        "exchange": Exchange(),
+        "replica_step": ReplicaStep(LargeStep()),
+    }
+)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.batching import only_where
 from mcmc1d.checks import require_instance
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick, require
 from mcmc1d.state import Multiplexed, State
@@ -101,4 +102,4 @@ def _examples() -> dict[str, Move]:
     }
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)

@@ -10,6 +10,7 @@ import numpy as np
 
 from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.compiling import quickly
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.candidates import Antithetic, Candidates, Independent, Rotated, Stratified
 from mcmc1d.moves.primary import ExponentialStep, SmallStep
@@ -205,10 +206,12 @@ def _require_symmetric(move: MultipleTry, target: Multiplexed, probes: int = 64)
         )
 
 
-EXAMPLES = {
-    "multiple_try": MultipleTry(SmallStep(0.2)),
-    "multiple_try_stratified": MultipleTry(ExponentialStep(1e-3, 0.3), 3, evenly, Stratified()),
-    "multiple_try_antithetic": MultipleTry(SmallStep(0.15), 4, by_target, Antithetic()),
-    "multiple_try_quasi_random": MultipleTry(SmallStep(0.3), 5, evenly, Rotated()),
-    "multiple_try_lambda": MultipleTry(SmallStep(0.3), 2, SymmetricLambda(lambda x, y: jnp.cos(x.u[0] - y.u[0]))),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "multiple_try": MultipleTry(SmallStep(0.2)),
+        "multiple_try_stratified": MultipleTry(ExponentialStep(1e-3, 0.3), 3, evenly, Stratified()),
+        "multiple_try_antithetic": MultipleTry(SmallStep(0.15), 4, by_target, Antithetic()),
+        "multiple_try_quasi_random": MultipleTry(SmallStep(0.3), 5, evenly, Rotated()),
+        "multiple_try_lambda": MultipleTry(SmallStep(0.3), 2, SymmetricLambda(lambda x, y: jnp.cos(x.u[0] - y.u[0]))),
+    }
+)

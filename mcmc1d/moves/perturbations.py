@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.special import ndtr
 
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachNumber, Proposal, around_the_ends
 from mcmc1d.numerics import parameter, require_positive
 from mcmc1d.state import Multiplexed, State
@@ -70,9 +71,11 @@ class LinearStep(EachNumber):
         return around_the_ends(state, 0.5 * self.width * jnp.where(up, reach, -reach), 1 - w)
 
 
-EXAMPLES = {
-    "truncated_step": TruncatedStep(),
-    "truncated_step_wide": TruncatedStep(0.6),
-    "uniform_step": UniformStep(),
-    "linear_step": LinearStep(),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "truncated_step": TruncatedStep(),
+        "truncated_step_wide": TruncatedStep(0.6),
+        "uniform_step": UniformStep(),
+        "linear_step": LinearStep(),
+    }
+)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachNumber, Proposal, around_the_ends, zero
 from mcmc1d.numerics import is_concrete, normal_quantile, parameter, require, require_positive
 from mcmc1d.state import Multiplexed, State
@@ -56,9 +57,11 @@ class LargeStep(EachNumber):
         return Proposal(State(state.index, w), state.u, zero(w))
 
 
-EXAMPLES = {
-    "small_step": SmallStep(),
-    "small_step_wide": SmallStep(0.7),
-    "exponential_step": ExponentialStep(),
-    "large_step": LargeStep(),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "small_step": SmallStep(),
+        "small_step_wide": SmallStep(0.7),
+        "exponential_step": ExponentialStep(),
+        "large_step": LargeStep(),
+    }
+)

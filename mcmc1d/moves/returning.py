@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.reversible_jump import ReversibleJump
 from mcmc1d.numerics import in_unit_cube, parameter, require_positive
@@ -51,4 +52,4 @@ class Returning(Move):
         return in_unit_cube(a) & jnp.all(jnp.minimum(apart, 1 - apart) <= self.tolerance)
 
 
-EXAMPLES = {"returning_jump": Returning(ReversibleJump())}
+EXAMPLES = Examples(lambda: {"returning_jump": Returning(ReversibleJump())})

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from numpy.typing import ArrayLike
 
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.technique import LOPSIDED, Proposals
 from mcmc1d.numerics import choose, cumulative, pick, unchoose
@@ -63,8 +64,10 @@ def _jump(target: Multiplexed, state: State, j: Index, back: Scalar, log_t: Scal
     return Proposal(there, jnp.concatenate([back[None], here.v]), log_det + here.log_det + log_t)
 
 
-EXAMPLES = {
-    "reversible_jump": ReversibleJump(),
-    "reversible_jump_lopsided": ReversibleJump(LOPSIDED),
-    "aimed_jump": AimedJump(),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "reversible_jump": ReversibleJump(),
+        "reversible_jump_lopsided": ReversibleJump(LOPSIDED),
+        "aimed_jump": AimedJump(),
+    }
+)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.special import ndtr
 
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachNumber, Proposal
 from mcmc1d.numerics import normal_quantile, parameter, require_positive, wrap
 from mcmc1d.state import Multiplexed, State
@@ -40,4 +41,4 @@ class ScaledStep(EachNumber):
         return jnp.log(self.sigma) - state.seen.log_det / target.dim_u
 
 
-EXAMPLES = {"scaled_step": ScaledStep(), "scaled_step_fine": ScaledStep(0.01)}
+EXAMPLES = Examples(lambda: {"scaled_step": ScaledStep(), "scaled_step_fine": ScaledStep(0.01)})

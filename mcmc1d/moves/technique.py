@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance
 from mcmc1d.compiling import quickly
+from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.perturbations import LinearStep, TruncatedStep, UniformStep
 from mcmc1d.moves.primary import ExponentialStep, LargeStep, SmallStep
@@ -162,9 +163,11 @@ def log_ratio(numerator: Scalar, denominator: Scalar) -> Scalar:
 LOPSIDED = [[0.2, 0.5, 0.3], [0.1, 0.1, 0.8], [0.6, 0.4, 0.0]]
 """An example of T that is not symmetric; technique 2 never proposes itself."""
 
-EXAMPLES = {
-    "technique_change": TechniqueChange(),
-    "technique_change_lopsided": TechniqueChange(LOPSIDED),
-    "step_and_change": StepAndChange(SmallStep(), TechniqueChange(LOPSIDED)),
-    "large_step_and_change": StepAndChange(LargeStep()),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "technique_change": TechniqueChange(),
+        "technique_change_lopsided": TechniqueChange(LOPSIDED),
+        "step_and_change": StepAndChange(SmallStep(), TechniqueChange(LOPSIDED)),
+        "large_step_and_change": StepAndChange(LargeStep()),
+    }
+)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import require
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
@@ -59,4 +60,4 @@ def _two_bumps(x: Scalar) -> Scalar:
     return jnp.where(x < 0.6, x * x, 0.1 + jnp.exp(-40 * (x - 0.8) ** 2))
 
 
-EXAMPLES = {"from_function": FromFunction(_two_bumps, breaks=(0.6,))}
+EXAMPLES = Examples(lambda: {"from_function": FromFunction(_two_bumps, breaks=(0.6,))})

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from mcmc1d.checks import rising
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import is_concrete, log_sum, parameter, require, require_positive
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Float, Real, Scalar
@@ -53,4 +54,4 @@ def walls_and_valley(weights: ArrayLike = (0.5, 0.2, 0.3)) -> GaussianMixture:
     return GaussianMixture([-0.02, 0.45, 1.0], [0.08, 0.05, 0.12], weights)
 
 
-EXAMPLES = {"gaussian_mixture": walls_and_valley()}
+EXAMPLES = Examples(lambda: {"gaussian_mixture": walls_and_valley()})

@@ -7,6 +7,7 @@ from jax.nn import logsumexp
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import density_table, require_box, rising
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import parameter, require, require_positive
 from mcmc1d.quadrature import Outline
 from mcmc1d.targets.base import Edges, Target
@@ -173,4 +174,6 @@ def board() -> Checkerboard:
     return Checkerboard([[4, 0, 1, 2], [0.5, 3, 0, 1], [1, 0, 5, 0.2], [2, 1, 0, 3]])
 
 
-EXAMPLES = {"rotated_mixture": two_ridges(), "ring": Ring(), "banana": Banana(), "checkerboard": board()}
+EXAMPLES = Examples(
+    lambda: {"rotated_mixture": two_ridges(), "ring": Ring(), "banana": Banana(), "checkerboard": board()}
+)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import rising
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import is_concrete, parameter, require, require_positive, sin_turns
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
@@ -41,4 +42,4 @@ class Sinusoid(Target):
         return scale * (width + a * wave / (np.pi * n))
 
 
-EXAMPLES = {"sinusoid": Sinusoid(), "sinusoid_zeros": Sinusoid(-1.0, 1.5, 0.1, 3.0)}
+EXAMPLES = Examples(lambda: {"sinusoid": Sinusoid(), "sinusoid_zeros": Sinusoid(-1.0, 1.5, 0.1, 3.0)})

@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import density_table, rising
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import locate
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Corners, Float, Real, Scalar
@@ -69,7 +70,9 @@ class Tabulated(Target):
         return np.arange(self.values.shape[0] + 1) / self.values.shape[0]
 
 
-EXAMPLES = {
-    "piecewise_linear": PiecewiseLinear([0, 0.1, 0.4, 0.7, 1], [3, 0.5, 0, 0, 2]),
-    "tabulated": Tabulated([1, 0, 0, 4, 2, 0.25, 3, 7, 1, 5]),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "piecewise_linear": PiecewiseLinear([0, 0.1, 0.4, 0.7, 1], [3, 0.5, 0, 0, 2]),
+        "tabulated": Tabulated([1, 0, 0, 4, 2, 0.25, 3, 7, 1, 5]),
+    }
+)

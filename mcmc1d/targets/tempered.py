@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_instance
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import is_concrete, log_sum, parameter, require
 from mcmc1d.quadrature import Outline
 from mcmc1d.targets.base import Edges, Target
@@ -102,4 +103,4 @@ def _examples() -> dict[str, Target]:
     }
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_instance
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import below_one, is_concrete, require
 from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
 from mcmc1d.types import Array, Corners, Float, Scalar
@@ -97,4 +98,4 @@ def _examples() -> dict[str, Technique]:
     }
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import (
     below_one,
     cos_turns,
@@ -190,8 +191,10 @@ def _turns(z: Float[Array, " 2"]) -> Scalar:
     return wrap(jnp.arctan2(z[1], z[0]) / (2 * np.pi))
 
 
-EXAMPLES = {
-    "polar_disk": PolarDisk(),
-    "concentric_disk": ConcentricDisk((0.5, 0.4), 0.3),
-    "projected_cap": ProjectedCap(0.3, (0.4, 0.6), 0.35),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "polar_disk": PolarDisk(),
+        "concentric_disk": ConcentricDisk((0.5, 0.4), 0.3),
+        "projected_cap": ProjectedCap(0.3, (0.4, 0.6), 0.35),
+    }
+)

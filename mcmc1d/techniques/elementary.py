@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import is_concrete, linear_cdf, linear_quantile, parameter, require
 from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Scalar
@@ -92,11 +93,13 @@ class Ramp(Inversion):
         return left * (1 - x) + right * x
 
 
-EXAMPLES = {
-    "uniform": Uniform(),
-    "tent": Tent(),
-    "tent_skewed": Tent(0.125),
-    "ramp": Ramp(),
-    "ramp_down": Ramp(-2.0),
-    "ramp_gentle": Ramp(0.7),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "uniform": Uniform(),
+        "tent": Tent(),
+        "tent_skewed": Tent(0.125),
+        "ramp": Ramp(),
+        "ramp_down": Ramp(-2.0),
+        "ramp_gentle": Ramp(0.7),
+    }
+)

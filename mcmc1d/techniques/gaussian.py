@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import below_one, is_concrete, parameter, require, require_positive
 from mcmc1d.techniques.base import Forward, Inverse, Technique
 from mcmc1d.types import Array, Corners, Float, Real, Scalar
@@ -62,4 +63,4 @@ def _direction(u: Scalar) -> Float[Array, " 2"]:
     return jnp.stack([jnp.cos(2 * jnp.pi * u), jnp.sin(2 * jnp.pi * u)])
 
 
-EXAMPLES = {"box_muller": BoxMuller(), "box_muller_shifted": BoxMuller((0.2, -0.1), 0.3)}
+EXAMPLES = Examples(lambda: {"box_muller": BoxMuller(), "box_muller_shifted": BoxMuller((0.2, -0.1), 0.3)})

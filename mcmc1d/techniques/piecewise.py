@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import density_table
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import between, choose, entry, linear_cdf, linear_quantile, locate, unchoose, width
 from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Array, Corners, Float, Index, Real, Scalar
@@ -157,11 +158,13 @@ def _cumulative(masses: np.ndarray) -> np.ndarray:
     return total / total[-1]
 
 
-EXAMPLES = {
-    "step": PiecewiseConstant([0, 0.5, 1], [1.6, 0.4]),
-    "step_with_hole": PiecewiseConstant([0, 0.1, 0.3, 0.35, 0.9, 1], [2, 0, 5, 1, 0.01]),
-    "tabulated": Tabulated([1, 3, 0, 2, 4, 1, 0.5, 7]),
-    "tabulated_fine": Tabulated.of(lambda x: np.exp(-3 * x) + (x > 0.7), 1000),
-    "piecewise_linear": PiecewiseLinear([0, 0.2, 0.5, 0.8, 1], [0, 3, 1, 1, 4]),
-    "piecewise_linear_with_hole": PiecewiseLinear([0, 0.25, 0.5, 0.75, 1], [2, 0, 0, 1, 0]),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "step": PiecewiseConstant([0, 0.5, 1], [1.6, 0.4]),
+        "step_with_hole": PiecewiseConstant([0, 0.1, 0.3, 0.35, 0.9, 1], [2, 0, 5, 1, 0.01]),
+        "tabulated": Tabulated([1, 3, 0, 2, 4, 1, 0.5, 7]),
+        "tabulated_fine": Tabulated.of(lambda x: np.exp(-3 * x) + (x > 0.7), 1000),
+        "piecewise_linear": PiecewiseLinear([0, 0.2, 0.5, 0.8, 1], [0, 3, 1, 1, 4]),
+        "piecewise_linear_with_hole": PiecewiseLinear([0, 0.25, 0.5, 0.75, 1], [2, 0, 0, 1, 0]),
+    }
+)

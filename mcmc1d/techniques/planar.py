@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from mcmc1d.checks import require_box
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import below_one, limit, parameter
 from mcmc1d.quadrature import Outline
 from mcmc1d.techniques.base import Forward, Inverse, Technique
@@ -65,4 +66,4 @@ class Rectangle(Planar):
         return jnp.where(inside, -jnp.log(self.upper - self.lower).sum(), -jnp.inf)
 
 
-EXAMPLES = {"rectangle": Rectangle((-1, 0.5), (2, 1))}
+EXAMPLES = Examples(lambda: {"rectangle": Rectangle((-1, 0.5), (2, 1))})

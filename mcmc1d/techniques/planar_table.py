@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import density_table, require_box
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import below_one, choose, limit, parameter, require, unchoose, width
 from mcmc1d.quadrature import Outline
 from mcmc1d.techniques.base import Forward, Inverse
@@ -91,7 +92,9 @@ class MarginalConditional(Planar):
 
 _INNER = Mixture((Rectangle(), ConcentricDisk((0.6, 0.5), 0.4)), (0.6, 0.4))
 
-EXAMPLES = {
-    "marginal_conditional": MarginalConditional([[1, 2, 0.5], [0, 0, 0], [4, 0, 1], [0.2, 3, 3]], (-1, 0), (1, 3)),
-    "planar_mixture": Mixture((Triangle([[0.1, 0.2], [0.9, 0.1], [0.3, 0.95]]), _INNER), (0.3, 0.7)),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "marginal_conditional": MarginalConditional([[1, 2, 0.5], [0, 0, 0], [4, 0, 1], [0.2, 3, 3]], (-1, 0), (1, 3)),
+        "planar_mixture": Mixture((Triangle([[0.1, 0.2], [0.9, 0.1], [0.3, 0.95]]), _INNER), (0.3, 0.7)),
+    }
+)

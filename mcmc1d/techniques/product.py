@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import require
 from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
 from mcmc1d.types import Array, Corners, Float, Scalar
@@ -105,4 +106,4 @@ def _examples() -> dict[str, Technique]:
     }
 
 
-EXAMPLES = _examples()
+EXAMPLES = Examples(_examples)

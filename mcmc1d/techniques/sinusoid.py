@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
 
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import is_concrete, limit, parameter, require, sin_turns
 from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Scalar
@@ -124,9 +125,11 @@ def _solve_kepler(e: Scalar, mean: Scalar) -> Scalar:
     return jnp.where(mean < 0, -y, y)
 
 
-EXAMPLES = {
-    "raised_sinusoid": RaisedSinusoid(),
-    "raised_sinusoid_two_periods": RaisedSinusoid(0.9, 2, 0.3),
-    "raised_sinusoid_flat_inside": RaisedSinusoid(1.0, 1, 0.0),
-    "raised_sinusoid_flat_at_zero": RaisedSinusoid(-1.0, 3, 0.25),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "raised_sinusoid": RaisedSinusoid(),
+        "raised_sinusoid_two_periods": RaisedSinusoid(0.9, 2, 0.3),
+        "raised_sinusoid_flat_inside": RaisedSinusoid(1.0, 1, 0.0),
+        "raised_sinusoid_flat_at_zero": RaisedSinusoid(-1.0, 3, 0.25),
+    }
+)

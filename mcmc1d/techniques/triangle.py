@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import below_one, is_concrete, limit, parameter, require
 from mcmc1d.quadrature import Outline
 from mcmc1d.techniques.base import Forward, Inverse
@@ -73,4 +74,4 @@ def _cross(a: Float[Real, " 2"], b: Float[Real, " 2"]) -> Scalar:
     return a[0] * b[1] - a[1] * b[0]
 
 
-EXAMPLES = {"triangle": Triangle([[0.1, 0.2], [0.9, 0.1], [0.3, 0.95]])}
+EXAMPLES = Examples(lambda: {"triangle": Triangle([[0.1, 0.2], [0.9, 0.1], [0.3, 0.95]])})

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr, ndtri
 
+from mcmc1d.examples import Examples
 from mcmc1d.numerics import is_concrete, limit, parameter, require, require_positive
 from mcmc1d.techniques.base import Inversion, within
 from mcmc1d.types import Scalar
@@ -52,9 +53,11 @@ class TruncatedNormal(Inversion):
         return within(x, -z * z / 2 - log_scale)
 
 
-EXAMPLES = {
-    "truncated_normal": TruncatedNormal(0.3, 0.2),
-    "truncated_normal_tail_below": TruncatedNormal(-0.4, 0.1),
-    "truncated_normal_tail_above": TruncatedNormal(1.2, 0.1),
-    "truncated_normal_wide": TruncatedNormal(0.5, 3.0),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "truncated_normal": TruncatedNormal(0.3, 0.2),
+        "truncated_normal_tail_below": TruncatedNormal(-0.4, 0.1),
+        "truncated_normal_tail_above": TruncatedNormal(1.2, 0.1),
+        "truncated_normal_wide": TruncatedNormal(0.5, 3.0),
+    }
+)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.compiling import quickly
+from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.technique import log_ratio
@@ -316,4 +317,4 @@ def _nearest(points: np.ndarray, states: np.ndarray, what: str) -> np.ndarray:
     return place
 
 
-EXAMPLES = {"ring_step": RingStep(5, {1: 0.5, -1: 0.2, 2: 0.3})}
+EXAMPLES = Examples(lambda: {"ring_step": RingStep(5, {1: 0.5, -1: 0.2, 2: 0.3})})

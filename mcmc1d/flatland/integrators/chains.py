@@ -10,6 +10,7 @@ import numpy as np
 
 from mcmc1d.chain import run
 from mcmc1d.estimators import Acceptance, Estimator
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest, multiplexed
 from mcmc1d.flatland.integrators.image import Layer, Sums
 from mcmc1d.flatland.paths import EXAMPLES as LIT
@@ -211,6 +212,6 @@ class RJMLT(Metropolised):
         return paths.edges * walked, float(paths.edges)
 
 
-EXAMPLES = {"each_chain": EachChain(LIT["light"].paths, 64)}
+EXAMPLES = Examples(lambda: {"each_chain": EachChain(LIT["light"].paths, 64)})
 
 __all__ = ["EXAMPLES", "MMLT", "PSSMLT", "RJMLT", "EachChain", "Metropolised", "require_chains"]

@@ -10,6 +10,7 @@ import numpy as np
 
 from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.importance import OverPixels, Shader
 from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.flatland.paths import EXAMPLES as LIT
@@ -206,6 +207,6 @@ def _drawn(
     return State(index, numbers[2:]), jnp.exp(seen.log_c), pixel, numbers[1]
 
 
-EXAMPLES = {"moments": Moments(LIT["light"].paths, 64)}
+EXAMPLES = Examples(lambda: {"moments": Moments(LIT["light"].paths, 64)})
 
 __all__ = ["EXAMPLES", "ROWS", "Exposed", "Moments", "exact_starts", "expose", "highest_seen", "unexposed"]

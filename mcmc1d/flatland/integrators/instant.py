@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.evaluation import reads
 from mcmc1d.flatland.integrators.base import bootstrap, brightest, exposed, multiplexed
@@ -172,9 +173,11 @@ def _left_out(paths: Paths, clamp: Scalar | float) -> Multiplexed:
     return Multiplexed(LeftOut(Light(paths), clamp), Bidirectional(paths), Balance(), probes=0)
 
 
-EXAMPLES = {
-    "behind_first_wall": BehindFirstWall(LIT["light"].paths, (2,)),
-    "left_out": LeftOut(LIT["light"], 1.0),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "behind_first_wall": BehindFirstWall(LIT["light"].paths, (2,)),
+        "left_out": LeftOut(LIT["light"], 1.0),
+    }
+)
 
 __all__ = ["EXAMPLES", "BehindFirstWall", "InstantRadiosity", "LeftOut", "gathered_at", "share", "unreachable"]

@@ -1,5 +1,6 @@
 """Mutations of paths as involutions: Veach's bidirectional mutation and perturbations, and the manifold step."""
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.mutations.base import Mutation, Mutations
 from mcmc1d.flatland.mutations.bidirectional import BidirectionalMutation
 from mcmc1d.flatland.mutations.manifold import ManifoldStep
@@ -21,7 +22,7 @@ def veach(bidirectional: float = 0.4, lens: float = 0.25, caustic: float = 0.2, 
 VEACH = veach()
 """As `integrators.MLT` mixes them."""
 
-EXAMPLES = {"veach": VEACH}
+EXAMPLES = Examples(lambda: {"veach": VEACH})
 
 __all__ = [
     "EXAMPLES",

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.evaluation import reads
 from mcmc1d.flatland.mutations.base import Layout, Mutation, Plan, Seen
 from mcmc1d.numerics import cumulative, entry, locate
@@ -53,6 +54,6 @@ def _share(k: int, t: int, a: int, b: int) -> float:
     return 2.0**-new / (new + 1) if t >= a and k + 1 - t >= b else 0.0
 
 
-EXAMPLES = {"bidirectional_mutation": BidirectionalMutation()}
+EXAMPLES = Examples(lambda: {"bidirectional_mutation": BidirectionalMutation()})
 
 __all__ = ["EXAMPLES", "BidirectionalMutation", "deletions"]

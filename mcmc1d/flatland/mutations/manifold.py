@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.mutations.base import layout, looked_at, reweighed, settled
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.numerics import normal_quantile, parameter, pick, require_positive, wrap
@@ -48,6 +49,6 @@ class ManifoldStep(Move):
         return settled(target, index, (x, known.v, log_f, log_p), back, known, jnp.where(free, log_weights, -jnp.inf))
 
 
-EXAMPLES = {"manifold_step": ManifoldStep()}
+EXAMPLES = Examples(lambda: {"manifold_step": ManifoldStep()})
 
 __all__ = ["EXAMPLES", "ManifoldStep"]

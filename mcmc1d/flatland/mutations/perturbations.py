@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from mcmc1d.examples import Examples
 from mcmc1d.flatland.mutations.base import Layout, Mutation, Plan, Seen
 from mcmc1d.moves import ExponentialStep, SmallStep
 from mcmc1d.state import Multiplexed, State
@@ -111,10 +112,12 @@ def stepped(
     return proposal.state.u, proposal.w
 
 
-EXAMPLES = {
-    "lens_perturbation": LensPerturbation(),
-    "caustic_perturbation": CausticPerturbation(),
-    "multi_chain_perturbation": MultiChainPerturbation(SmallStep(0.02)),
-}
+EXAMPLES = Examples(
+    lambda: {
+        "lens_perturbation": LensPerturbation(),
+        "caustic_perturbation": CausticPerturbation(),
+        "multi_chain_perturbation": MultiChainPerturbation(SmallStep(0.02)),
+    }
+)
 
 __all__ = ["EXAMPLES", "CausticPerturbation", "LensPerturbation", "MultiChainPerturbation"]
