@@ -118,7 +118,7 @@ def test_a_wrong_technique_fails_with_the_equation_and_the_point(technique, equa
 
 
 def test_what_x_forgets_must_be_returned():
-    with pytest.raises(ValueError, match=r"u has 2 numbers, but x and v together 1"):
+    with pytest.raises(ValueError, match=r"u has 2 numbers and x 1; what x forgets of u must be returned as v"):
         check_technique(_Forgetful(), points=10)
 
 

@@ -51,6 +51,30 @@ def outside(maps: Maps, image: np.ndarray, seed: int) -> Check:
     return Check(equation, not bad.any(), int(must.sum()), float(bad.mean()), 0.0, where)
 
 
+def unreached(maps: Maps, count: int, seed: int) -> list[Check]:
+    """In a box of several dimensions: no density where no sample comes to.
+
+    There no quadrature is sharp: a share of the mass that lies elsewhere is within what it may err.
+    """
+    lower, upper = (corner.astype(np.float64) for corner in maps.corners)
+    if maps.d == 1 or maps.dtype == np.float32 or not np.isfinite([lower, upper]).all():
+        return []
+    points = np.random.default_rng(seed + 4).random((count, maps.technique.dim_u))
+    points[:, : maps.d] = lower + (upper - lower) * points[:, : maps.d]
+    u, _, log_prob = maps.inverse(points)
+    inside = ((u >= 0) & (u < 1)).all(1)
+    apart = np.abs(maps.forward(np.where(inside[:, None], u, 0.5))[0] - points)[:, : maps.d]
+    # Grossly: how near the round trip must come, others check.
+    there = inside & (apart <= 1e-2 * (upper - lower)).all(1)
+    bad = (log_prob > -np.inf) & ~there
+    k = int(np.argmax(bad))
+    where = (
+        f"x = {maps.x(points[k])}: log_prob = {log_prob[k]}, but no u in [0, 1) leads there; the inverse gives {u[k]}"
+    )
+    note = f"a region of {5 / count:.1e} of the support would have been met, with probability 0.99"
+    return [Check("log_prob is finite at samples only", not bad.any(), count, float(bad.mean()), 0.0, where, note)]
+
+
 def linear(maps: Maps, image: np.ndarray) -> list[Check]:
     """Where the technique defines `prob`: that it is exp(log_prob), in the support and beyond; 0 just where that is.
 

@@ -12,7 +12,7 @@ from mcmc1d.numerics import cast
 from mcmc1d.techniques import Technique
 from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, steepness
 from mcmc1d.verify.contract import Check, ContractReport, numbers
-from mcmc1d.verify.density import integral, linear, outside, over_v
+from mcmc1d.verify.density import integral, linear, outside, over_v, unreached
 from mcmc1d.verify.maps import Maps
 from mcmc1d.verify.points import cube_points
 
@@ -91,6 +91,7 @@ class _Contract:
             *self._at_fresh_v(u, image),
             self._density(at_image, log_det_back, log_prob),
             outside(self.maps, image, self.seed),
+            *unreached(self.maps, len(u), self.seed),
             *linear(self.maps, image),
         ]
 

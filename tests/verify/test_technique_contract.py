@@ -215,3 +215,28 @@ def test_a_lobe_whose_samples_round_to_the_pole_of_another(factor):
     """At a pole there is no way back, and next to one the last bit of x is all that there is; elsewhere it is seen."""
     mixture = Mixture((Kumaraswamy(0.5, 0.5, factor), Square()), (0.5, 0.5))
     assert bool(check_technique(mixture, points=2000)) == (factor == 1)
+
+
+class Patch(Technique):
+    """The unit square, whose density claims a patch beside it too, of a mass of 0.002."""
+
+    mass: float
+    support = (np.zeros(2), np.array([1.25, 1.25]))
+    dim_u = 2
+
+    def forward(self, u):
+        return u, u[2:], jnp.zeros(())
+
+    def inverse(self, x, v):
+        return x, self.log_prob(x)
+
+    def log_prob(self, x):
+        beside = jnp.all((x >= 1.1) & (x <= 1.15))
+        return jnp.where(jnp.all((x >= 0) & (x < 1)), 0.0, jnp.where(beside, jnp.log(self.mass / 0.05**2), -jnp.inf))
+
+
+def test_a_density_beside_all_samples_is_seen_by_itself():
+    """The integral's tolerance may be 0.01. The patch is 1.6e-3 of the support: of 1e4 points one is in it, but for 1e-7."""
+    assert check_technique(Patch(0.0))
+    report = check_technique(Patch(0.002))
+    assert "float64: log_prob is finite at samples only" in {c.equation for c in report.checks if not c.passed}
