@@ -236,7 +236,7 @@ class Patch(Technique):
 
 
 def test_a_density_beside_all_samples_is_seen_by_itself():
-    """The integral's tolerance may be 0.01. The patch is 1.6e-3 of the support: of 1e4 points one is in it, but for 1e-7."""
+    """The integral may be off by 0.01. The patch is 1.6e-3 of the support: 1e4 points miss it with probability 1e-7."""
     assert check_technique(Patch(0.0))
     report = check_technique(Patch(0.002))
     assert "float64: log_prob is finite at samples only" in {c.equation for c in report.checks if not c.passed}
