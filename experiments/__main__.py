@@ -63,6 +63,8 @@ def run(
         options = ["--profile", profile, "--seed", str(seed), "--out", str(out)]
         options += [part for field in set_ or [] for part in ("--set", field)] + ["--resume"] * resume
         options += [] if dask is None else ["--dask", dask]
+        # The long ones first, lest one is left over when all else is done.
+        todo.sort(key=lambda one: not getattr(one[1], "LONG", False))
         raise typer.Exit(_beside([(name, getattr(module, "ALONE", False)) for name, module, _ in todo], options, jobs))
     framework.style()
     surprises, undecided = [], []

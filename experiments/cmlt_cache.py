@@ -58,6 +58,9 @@ class Config:
 
 PROFILES = {"quick": Config(), "paper": Config(scenes="office lab box", paths=2**14, runs=32)}
 
+LONG = True
+"""It takes more than a minute: of several experiments it is begun early."""
+
 ALGORITHMS = ("MLT", "CMLT", "IR")
 SIZES = (4, 16, 128)
 TABLE_1 = {"MLT": (0.55, 0.61, 0.62), "CMLT": (0.87, 0.92, 0.99), "IR": (0.87, 0.92, 0.99)}

@@ -56,6 +56,9 @@ PROFILES = {
     "paper": Config(scenes="box lab door three_rooms", runs=256, samples=2**15, shadows=2**11),
 }
 
+LONG = True
+"""It takes more than a minute: of several experiments it is begun early."""
+
 SCENES = {
     "box": (3, PathTracing()),
     "lab": (3, PathTracing()),

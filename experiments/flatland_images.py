@@ -61,6 +61,9 @@ PROFILES = {
     ),
 }
 
+LONG = True
+"""It takes more than a minute: of several experiments it is begun early."""
+
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Render each scene with each integrator, and what the mutants' own scenes and samples are."""

@@ -56,6 +56,9 @@ PROFILES = {
     ),
 }
 
+LONG = True
+"""It takes more than a minute: of several experiments it is begun early."""
+
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every integrator on every scene and path length; the comparison is of all lengths together."""

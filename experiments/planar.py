@@ -70,6 +70,9 @@ PROFILES = {
     "paper": Config(chains=2**15, steps=4096, replicas=2**18, theory_replicas=2**18, points=10_000, trace_steps=10_000),
 }
 
+LONG = True
+"""It takes more than a minute: of several experiments it is begun early."""
+
 TECHNIQUES: dict[str, Technique] = {**BOXES, **DISKS, **TRIANGLES, **TABLES}
 """The library's examples in the plane."""
 TARGETS: dict[str, Target] = {"ring": Ring(), "board": board()}

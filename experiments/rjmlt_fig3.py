@@ -66,6 +66,9 @@ PROFILES = {
     "paper": Config(replicas=2**20, replica_steps=256, chains=2**16, steps=8192, operator_points=2**20),
 }
 
+LONG = True
+"""It takes more than a minute: of several experiments it is begun early."""
+
 TECHNIQUES = ("tent", "step", "mixture")
 KINDS = ("small step", "jump")
 RIGHT = {"multiplexed": True, "no Jacobian": False, "fixed point": False, "full": True, "full, aimed": True}
