@@ -19,6 +19,7 @@ from mcmc1d.verify.subject import Look
 _CUTS = 64
 _JOINT = {2: 10, 3: 5}  # cells a coordinate in a joint test, by the number of coordinates; of more, below and above
 _ORTHANTS = 8  # coordinates at most that are looked at so: 256 cells
+_TRIPLES = 5  # coordinates at most of which every three are looked at jointly
 _MOST_PAIRS = 64  # of coordinates that are looked at jointly, where there are more than eight
 _CROSSED = 4  # cells of each of two coordinates whose first and last values are compared
 _DECILES = 10
@@ -37,8 +38,8 @@ def design(
     """The tests for a law; `draws`, exact and used for nothing else, set the cells' ends.
 
     A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are the density and joint
-    cells: of up to three coordinates; of more, the orthants about the medians of up to eight, and those of pairs: of
-    neighbours, and of more than eight coordinates of others too, 64 in all.
+    cells: of every two coordinates (beyond eight coordinates, of neighbours and others, 64 pairs in all) and, of up to
+    five, of every three; of more, the orthants about the medians of up to eight at once.
     Auxiliary coordinates named "u" stay out of the joint cells. Deposits are held to the law of the positions, or to
     what is known of their own, `deposited`; `max_weight` is the largest total weight of a step over the expected one.
     Raises `ValueError` for a CDF that falls.
@@ -239,9 +240,17 @@ def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
 
 
 def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Which coordinates are looked at jointly: all of up to three; of more, blocks of eight, and pairs."""
-    if len(names) == 2:
-        return [tuple(names)]
+    """Which coordinates are looked at jointly: pairs, every three of a few, and blocks of eight."""
     blocks = [tuple(names[k : k + _ORTHANTS]) for k in range(0, len(names), _ORTHANTS)]
-    pairs = itertools.pairwise(names) if len(names) <= _ORTHANTS else _pairs(names)
-    return [*(block for block in blocks if len(block) > 2), *pairs]
+    triples = itertools.combinations(names, 3) if len(names) <= _TRIPLES else []
+    return list(dict.fromkeys([*_pairs(names), *triples, *(block for block in blocks if len(block) > 2)]))
+
+
+def unseen(draws: Position) -> list[str]:
+    """What no test looks at, in words: what a PASS says nothing of."""
+    names = [name for name, values in coordinates(draws).items() if np.ptp(values) > 0 and not auxiliary(name)]
+    if len(names) <= _TRIPLES:
+        return []
+    left = len(names) * (len(names) - 1) // 2 - len(_pairs(names))
+    pairs = f", and {left} pairs" if left else ""
+    return [f"what three coordinates show together, but for {_ORTHANTS} at once below or above their medians{pairs}"]

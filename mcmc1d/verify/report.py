@@ -89,6 +89,8 @@ class Report:
     first_stage: dict[str, float] = field(default_factory=dict)
     """The first stage's p-values by "layer: name after k"; each test's own."""
     results: list[Result] = field(default_factory=list)
+    untested: list[str] = field(default_factory=list)
+    """What no test looked at."""
     diagnosis: list[str] = field(default_factory=list)
     """For a move of this library that fails: which kind of move, between which states."""
 
@@ -143,8 +145,8 @@ class Report:
             + (f", name={self.name!r}" if self.name != f"{self.kernel} on {self.law}" else "")
             + f"; took {self.seconds:.1f} s",
         ]
-        if self.passed and not self.reversible:
-            lines.insert(1, "untested   detailed balance: reversible=True declares it, and sees much smaller mistakes")
+        if self.passed:
+            lines[1:1] = [f"untested   {what}" for what in self.untested]
         return lines
 
     def to_json(self) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
-from mcmc1d.verify.design import auxiliary, design, partitions
+from mcmc1d.verify.design import auxiliary, design, partitions, unseen
 from mcmc1d.verify.diagnose import diagnose
 from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets, point
 from mcmc1d.verify.law import Position
@@ -282,7 +282,10 @@ class Trial:
                 "init draws a part of the state: from another law than its own (a momentum of another scale), a right "
                 "kernel fails too"
             )
+        balance = "detailed balance: reversible=True declares it, and sees much smaller mistakes"
+        untested = [] if subject.reversible else [balance]
         return Report(
+            untested=untested + unseen(self.unlikely),
             name=name,
             kernel=subject.name,
             law=sampler.law.name,

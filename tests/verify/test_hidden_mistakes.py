@@ -77,3 +77,46 @@ def test_of_many_coordinates_others_than_neighbours_are_looked_at_together():
 def test_a_law_that_contradicts_itself_is_named_and_not_the_kernel(law, said):
     with pytest.raises(LawError, match=said):
         verify(autoregressive, law)
+
+
+def takes_a_magnitude(of, to):
+    """Independent draws, but that one coordinate has the other's magnitude: each alone, and all signs, are right."""
+
+    def step(key, x):
+        y = jax.random.normal(key, x.shape)
+        return y.at[to].set(jnp.sign(y[to]) * jnp.abs(y[of]))
+
+    return step
+
+
+def takes_a_magnitude_of_two(key, x):
+    """Of three coordinates, whose magnitudes are large once or three times together: every two of them are right."""
+    y = jax.random.normal(key, x.shape)
+    large = jnp.abs(y) > 0.6745
+    turned = jnp.sign(y) * jnp.abs(normal_tail(y))
+    return jnp.where((large[0] ^ large[2] ^ large[4]) | (jnp.arange(5) != 4), y, turned)
+
+
+def normal_tail(y):
+    """The number of the other half of the magnitudes, so that a normal y stays normal."""
+    p = 2 * jax.scipy.stats.norm.cdf(-jnp.abs(y))
+    return jax.scipy.stats.norm.ppf(((p + 0.5) % 1) / 2)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "d"),
+    [
+        (takes_a_magnitude(0, 2), 4),
+        (takes_a_magnitude(0, 3), 4),
+        (takes_a_magnitude(0, 4), 8),
+        (takes_a_magnitude_of_two, 5),
+    ],
+)
+def test_a_coupling_through_magnitudes_is_seen_without_a_density(kernel, d):
+    law = Law(sample=lambda rng, n: rng.normal(size=(n, d)), cdf=ndtr)
+    report = verify(kernel, law, replicas=2**15)
+    assert report.verdict is Verdict.FAIL
+    assert {failure.layer for failure in report.failures} == {"joint"}
+    right = verify(autoregressive, law, replicas=2**15)
+    assert right.passed
+    assert any("three coordinates" in what for what in right.untested) == (d > 5)
