@@ -41,7 +41,7 @@ class Run(eqx.Module):
 
     def mean(self, name: str) -> Any:
         """An estimator's sums per chain and step: for a histogram, the estimated bin masses of f / b."""
-        return jax.tree.map(lambda s: s.sum(0) / (self.chains * self.steps), self.sums[name])
+        return jax.tree.map(lambda s: s.sum(0) / (self.chains * self.steps), self._sums(name))
 
     def standard_error(self, name: str) -> Any:
         """The standard error of `mean`, from the spread of the independent blocks; two blocks at least."""
@@ -51,7 +51,13 @@ class Run(eqx.Module):
             require(blocks >= 2, "a standard error needs two blocks of chains at least")
             return np.asarray(s.std(0, ddof=1) * np.sqrt(blocks) / (self.chains * self.steps))
 
-        return jax.tree.map(error, self.sums[name])
+        return jax.tree.map(error, self._sums(name))
+
+    def _sums(self, name: str) -> Any:
+        require(
+            name in self.sums, f"no estimator of this run is called {name!r}; it has {', '.join(self.sums) or 'none'}"
+        )
+        return self.sums[name]
 
     def acceptance(self, name: str = "acceptance") -> dict[str, float]:
         """The acceptance rate of each kind of move, from an `Acceptance` estimator's sums; NaN if never proposed."""

@@ -204,8 +204,14 @@ def _look(target: Multiplexed, points: Float[Array, "n ..."]) -> tuple[Array, Ar
 def _probe(target: Multiplexed, probes: int) -> None:
     """Raise `ValueError` for what no chain could sample, naming the thing and the first point."""
     points = target.family.probes(target.target.domain, probes)
-    with jax.enable_x64(True):
-        log_f, log_p, log_w = (np.asarray(a) for a in _look(cast(target, jnp.float64), jnp.asarray(points)))
+    try:
+        with jax.enable_x64(True):
+            log_f, log_p, log_w = (np.asarray(a) for a in _look(cast(target, jnp.float64), jnp.asarray(points)))
+    except jax.errors.TracerArrayConversionError as error:
+        raise ValueError(
+            f"Multiplexed: f, a technique's density or a weight can not be traced by JAX: write it with jax.numpy "
+            f"({str(error).splitlines()[0]})"
+        ) from error
     name = type(target.target).__name__
 
     def first(bad: Bool[np.ndarray, " n"], message: str) -> None:

@@ -85,9 +85,9 @@ class JaxSubject(Subject):
             out = eqx.filter_eval_shape(self.kernel.move, key, state)
         except (*_UNTRACEABLE, TypeError, AttributeError) as error:
             raise ValueError(
-                f"{self.name} can not be traced by JAX as step(key, position) of one chain ({type(error).__name__}: "
-                f"{str(error).splitlines()[0]}); write it with jax.numpy and jnp.where, or, if it is NumPy, hand it "
-                "over as verify.HostKernel(step), step(rng, positions)"
+                f"{self.name} can not be traced by JAX as step(key, position) of one chain, whose position is "
+                f"{_shapes(one)} ({type(error).__name__}: {str(error).splitlines()[0]}); write it with jax.numpy and "
+                "jnp.where, or, if it is NumPy, hand it over as verify.HostKernel(step), step(rng, positions)"
             ) from error
         self.returns_info = not _alike(out, state)
         after = out[0] if self.returns_info and isinstance(out, tuple) and len(out) == 2 else out
@@ -158,7 +158,11 @@ class HostSubject(Subject):
         few = jax.tree.map(lambda a: a[:16].copy(), start)
         state = self._begin(np.random.default_rng(0), few)
         before = jax.tree.map(np.shape, state)
-        after = self.kernel.step(np.random.default_rng(0), state)
+        try:
+            after = self.kernel.step(np.random.default_rng(0), state)
+        except TypeError as error:
+            require("PRNG key" not in str(error), f"{self.name} takes a JAX key: give it without HostKernel")
+            raise
         require(
             jax.tree.map(np.shape, after) == before,
             f"{self.name} must return arrays of the shapes it was given, {before}; it returned "

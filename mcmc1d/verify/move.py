@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast
 from mcmc1d.state import Multiplexed
@@ -59,6 +59,7 @@ def check_move(
     `ValueError` where the move does not fit the target.
     """
     require_instance(move, Move, "check_move: the move")
+    require_whole(points, "check_move: points")
     target = hard_target() if target is None else target
     require_instance(target, Multiplexed, "check_move: the target", "; wrap it: Multiplexed(target, techniques)")
     move.check(target)

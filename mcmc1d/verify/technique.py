@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.numerics import cast
 from mcmc1d.techniques import Technique
 from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, steepness
@@ -39,6 +39,7 @@ def check_technique(
     between spaces of one dimension.
     """
     require_instance(technique, Technique, "check_technique: the technique")
+    require_whole(points, "check_technique: points")
     checks = []
     with jax.enable_x64(True):
         for dtype in map(np.dtype, dtypes):
@@ -74,7 +75,7 @@ class _Contract:
         singular = self._singular(at_u)
         return [
             self._cube(u, image, back, log_prob),
-            self._regular(at_u, count),
+            self._regular(at_u, jacobian, count),
             compare("inverse(forward(u)) = u", at_image, lambda p, _: self.maps.inverse(p)[0], u, describe=at),
             compare(
                 "forward's log_det = log|det d(x, v)/du| by autodiff",
@@ -144,9 +145,10 @@ class _Contract:
             note,
         )
 
-    def _regular(self, at_u: Points, count: int) -> Check:
+    def _regular(self, at_u: Points, jacobian: np.ndarray, count: int) -> Check:
         """A bijection may be singular at edges; at random points it is not."""
-        singular = ~at_u.regular[:count]
+        flat = np.isneginf(log_abs_det(jacobian))[:count]
+        singular = ~at_u.regular[:count] | flat
         return Check(
             "the derivatives are finite and not all zero at random points",
             bool(singular.mean() <= 0.01),
@@ -154,6 +156,9 @@ class _Contract:
             float(singular.mean()),
             0.01,
             f"u = {numbers(at_u.values[np.argmax(singular)])}",
+            "autodiff finds no gradient through a bisection or a rounding: end with a Newton step, or jax.custom_jvp"
+            if flat.mean() > 0.01
+            else "",
         )
 
     def _singular(self, at_u: Points) -> str:

@@ -112,7 +112,10 @@ class Trial:
         """The draws, the least likely first."""
         log_density = self.sampler.law.log_density
         if log_density is not None:
-            values = np.asarray(jax.vmap(log_density)(draws))
+            try:
+                values = np.asarray(jax.vmap(log_density)(draws))
+            except jax.errors.TracerArrayConversionError:
+                raise LawError(f"{self.sampler.law.name}: write log_density with jax.numpy, of one position") from None
             bad = np.isnan(values) | np.isposinf(values)
             if bad.any():
                 at = point(coordinates(draws), int(np.argmax(bad)))

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mcmc1d.numerics import below_one
 from mcmc1d.techniques import Inversion, Mixture, RaisedSinusoid, Ramp, Technique, Tent, within
 from mcmc1d.verify import check_technique
 from mcmc1d.verify.mutants.mixtures import PriorLobe
@@ -240,3 +241,54 @@ def test_a_density_beside_all_samples_is_seen_by_itself():
     assert check_technique(Patch(0.0))
     report = check_technique(Patch(0.002))
     assert "float64: log_prob is finite at samples only" in {c.equation for c in report.checks if not c.passed}
+
+
+class LinearDisk(Technique):
+    """A disk whose radius is uniform: p = 1 / (2 pi r), with a pole in the middle of its box, where cubature looks."""
+
+    factor: float = 1.0
+    dim_u = 2
+    support = (np.array([-1.0, -1.0]), np.array([1.0, 1.0]))
+
+    def forward(self, u):
+        angle = 2 * jnp.pi * u[1]
+        return u[0] * jnp.stack([jnp.cos(angle), jnp.sin(angle)]), u[2:], jnp.log(2 * jnp.pi * u[0])
+
+    def inverse(self, x, v):
+        turn = jnp.arctan2(x[1], x[0]) / (2 * jnp.pi)
+        return below_one(jnp.stack([jnp.hypot(x[0], x[1]), turn - jnp.floor(turn)])), self.log_prob(x)
+
+    def log_prob(self, x):
+        r = jnp.hypot(x[0], x[1])
+        return jnp.where(r < 1, jnp.log(self.factor) - jnp.log(2 * jnp.pi * r), -jnp.inf)
+
+
+def test_a_pole_in_the_plane_is_no_mistake_and_hides_none():
+    assert check_technique(LinearDisk())
+    failed = {check.equation for check in check_technique(LinearDisk(1.05)).checks if not check.passed}
+    assert {"the integral of p is 1", "float64: log_prob(x) = log|det du/d(x, v)|, pointwise"} <= failed
+
+
+class Bisection(Inversion):
+    """Beta(2, 2), its quantile by halving an interval: right, and flat to autodiff."""
+
+    def quantile(self, u):
+        def halve(_, ends):
+            lower, upper = ends
+            middle = (lower + upper) / 2
+            above = self.cdf(middle) < u
+            return jnp.where(above, middle, lower), jnp.where(above, upper, middle)
+
+        return sum(jax.lax.fori_loop(0, 60, halve, (jnp.zeros_like(u), jnp.ones_like(u)))) / 2
+
+    def cdf(self, x):
+        return x * x * (3 - 2 * x)
+
+    def log_prob(self, x):
+        return within(x, jnp.log(6 * x * (1 - x)))
+
+
+def test_a_map_that_autodiff_can_not_see_through_is_told_so():
+    report = check_technique(Bisection())
+    assert not report
+    assert "autodiff finds no gradient through a bisection" in str(report)
