@@ -61,7 +61,7 @@ CALLS = {
     "verify.step_operator(lambda k, x: x, log_density=lambda x: 0 * x, lower=0.0, upper=1.0)": "must be one number",
     "verify.verify(verify.HostKernel(walk), verify.laws.normal(1))": "walk takes a JAX key: give it without HostKernel",
     "verify.verify(walk, target)": "whose position is {index: int32[], u: float32[1], x: float32[]}",
-    "verify.verify(walk, verify.Law(draws, scipy.special.ndtr, log_density=numpy.square))": "log_density with jax.numpy",
+    "verify.verify(walk, verify.Law(draws, scipy.special.ndtr, log_density=numpy.square))": "log_density with jax",
     "Multiplexed(targets.FromFunction(numpy.exp), techniques.Uniform())": "can not be traced by JAX: write it with jax",
     "run(key, move, target, steps=1, chains=8).mean('x')": "no estimator of this run is called 'x'; it has none",
     "run(jax.random.key(0, impl='rbg'), move, target, steps=1)": "the random key must be one threefry key",
