@@ -59,7 +59,7 @@ class Config:
 PROFILES = {"quick": Config(), "paper": Config(scenes="office lab box", paths=2**14, runs=32)}
 
 LONG = True
-"""It takes more than a minute: of several experiments it is begun early."""
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
 
 ALGORITHMS = ("MLT", "CMLT", "IR")
 SIZES = (4, 16, 128)

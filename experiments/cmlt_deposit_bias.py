@@ -53,7 +53,7 @@ class Config:
 PROFILES = {"quick": Config(), "paper": Config(work=2**25, steps=4096, points=2**18, replicas=2**18, most=256)}
 
 LONG = True
-"""It takes more than a minute: of several experiments it is begun early."""
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
 
 F = (1.0, 3.0, 0.5, 2.0, 4.0)
 """The ring's density; its step is lopsided."""

@@ -57,7 +57,7 @@ PROFILES = {
 }
 
 LONG = True
-"""It takes more than a minute: of several experiments it is begun early."""
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
 
 SCENES = {
     "box": (3, PathTracing()),

@@ -73,7 +73,7 @@ PROFILES = {
 }
 
 LONG = True
-"""It takes more than a minute: of several experiments it is begun early."""
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
 
 MARGIN = 1.25
 """Of non-inferiority: the ratio of errors up to which RJMLT counts as no worse."""

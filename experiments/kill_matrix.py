@@ -52,7 +52,7 @@ class Config:
 PROFILES = {"quick": Config(), "paper": Config(seeds=59, trap_seeds=3, sweep_seeds=6, every=1, full=True)}
 
 LONG = True
-"""It takes more than a minute: of several experiments it is begun early."""
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
 
 SEVERITIES = (-0.4, -0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2, 0.4)
 """eps: the log correction of a MALA kernel is multiplied by 1 + eps."""

@@ -78,7 +78,7 @@ SHAPES: dict[str, Callable[[float], Move]] = {
 }
 
 LONG = True
-"""It takes more than a minute: of several experiments it is begun early."""
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
 TRIES = (1,)
 CLAMPED = ("with", "without", "without, p = 4")
 LINE = mcmc1d.Multiplexed(GaussianMixture([0.1, 0.45, 0.9], [0.08, 0.06, 0.12], [0.5, 0.2, 0.3]), Uniform())

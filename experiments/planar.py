@@ -71,7 +71,7 @@ PROFILES = {
 }
 
 LONG = True
-"""It takes more than a minute: of several experiments it is begun early."""
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
 
 TECHNIQUES: dict[str, Technique] = {**BOXES, **DISKS, **TRIANGLES, **TABLES}
 """The library's examples in the plane."""

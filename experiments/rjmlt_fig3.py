@@ -67,7 +67,7 @@ PROFILES = {
 }
 
 LONG = True
-"""It takes more than a minute: of several experiments it is begun early."""
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
 
 TECHNIQUES = ("tent", "step", "mixture")
 KINDS = ("small step", "jump")

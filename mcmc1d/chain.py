@@ -61,7 +61,7 @@ class Run(eqx.Module):
 
     def acceptance(self, name: str = "acceptance") -> dict[str, float]:
         """The acceptance rate of each kind of move, from an `Acceptance` estimator's sums; NaN if never proposed."""
-        accepted, proposed = (s.sum(0) for s in self.sums[name])
+        accepted, proposed = (s.sum(0) for s in self._sums(name))
         rates = np.divide(accepted, proposed, out=np.full_like(accepted, np.nan), where=proposed > 0)
         return dict(zip(self.kinds, rates.tolist(), strict=True))
 

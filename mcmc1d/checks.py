@@ -1,5 +1,7 @@
 """Checks of what a user gives, which say what is wrong with it: instances, boxes, densities in tables, edges."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -29,9 +31,32 @@ def require_whole(value: Any, who: str, least: int = 1) -> None:
 
 def require_key(key: Any, who: str) -> None:
     """Raise `ValueError` unless `key` is a random key of JAX: a seed in its place is a common slip."""
-    typed = isinstance(key, jax.Array) and jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key)
-    raw = getattr(key, "dtype", None) == np.uint32 and np.ndim(key) == 1
-    require(typed or raw, f"{who}: the key must be one of JAX, jax.random.key({key if np.ndim(key) == 0 else 0})")
+    dtype = getattr(key, "dtype", None)
+    typed = dtype is not None and jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key)
+    one = np.shape(key) == () if typed else dtype == np.uint32 and np.shape(key) == (2,)
+    seed = key if isinstance(key, int | np.integer) else 0
+    require(one, f"{who}: the key must be one of JAX, such as jax.random.key({seed})")
+
+
+UNTRACEABLE = (
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerBoolConversionError,
+    jax.errors.TracerIntegerConversionError,
+    jax.errors.ConcretizationTypeError,
+    jax.errors.NonConcreteBooleanIndexError,
+)
+"""What JAX raises where code that it traces is not JAX's."""
+
+
+@contextmanager
+def traced(what: str) -> Iterator[None]:
+    """Where what a user wrote is traced: NumPy, or an `if`, in it is a `ValueError` that names it."""
+    try:
+        yield
+    except UNTRACEABLE as error:
+        raise ValueError(
+            f"{what} can not be traced by JAX: write it with jax.numpy and jnp.where ({str(error).splitlines()[0]})"
+        ) from error
 
 
 def require_box(owner: eqx.Module, lower: Float[Real, "..."], upper: Float[Real, "..."]) -> None:

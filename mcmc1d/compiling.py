@@ -28,7 +28,7 @@ def jit_with(**options: Any) -> Callable[[F], F]:
 quickly = jit_with(
     xla_backend_optimization_level=1, xla_llvm_disable_expensive_passes=True, xla_cpu_use_fusion_emitters=False
 )
-"""For code that is compiled to run a few times: compiling is nearly all of its time, and takes 0.6 of that.
+"""For code that is compiled to run a few times: compiling is nearly all of its time, and takes 0.65 of that.
 
 What it makes is up to three times slower (a histogram seven), so that nothing of a chain's loop is compiled like this.
 Level 0 compiles no faster, and wrongly: jaxlib 0.10.2 then returned another number for the place inside an interval.

@@ -46,8 +46,10 @@ class Image(Estimator):
             np.shape(target.target.domain[0]) == np.shape(self.f.domain[0]),
             f"Image: {type(self.f).__name__} and {type(target.target).__name__} have points of different shapes",
         )
-        if is_concrete(target.target, self.importance):
-            require_sampled(target.target, self.importance)
+        other = kernel.deposited(target)
+        sampled = (target if other is None else other.target).target
+        if is_concrete(sampled, self.importance):
+            require_sampled(sampled, self.importance)
         return jnp.zeros((self.pixels.count, 5), dtype)
 
     def update(self, sums: Float[Array, "n 5"], steps: Step) -> Float[Array, "n 5"]:

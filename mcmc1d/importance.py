@@ -271,7 +271,11 @@ def require_importance(f: Target, importance: Target, *, allow_loss: bool = Fals
 
 
 def require_sampled(target: Target, importance: Target) -> None:
-    """Raise `ValueError` unless a chain on `target` samples I: the two may differ by a factor."""
+    """Raise `ValueError` unless samples of `target` are samples of I: the two may differ by a factor."""
+    names = f"the importance function {type(importance).__name__}; its target, {type(target).__name__},"
+    ends = [np.asarray(end, np.float64) for one in (target, importance) for end in one.domain]
+    alike = np.allclose(ends[0], ends[2], rtol=1e-6) and np.allclose(ends[1], ends[3], rtol=1e-6)
+    require(alike, f"Image: the chain must sample {names} has another domain")
     points = midpoints(*importance.domain, 256)
     with jax.enable_x64(True):
         both = _both(cast(target, jnp.float64), cast(importance, jnp.float64), jnp.asarray(points))
@@ -281,13 +285,12 @@ def require_sampled(target: Target, importance: Target) -> None:
     lit = np.isfinite(apart) & np.isfinite(log_f)
     factor = np.median(apart[lit]) if lit.any() else 0.0
     # The runner has cast both to its own precision; what float32 does to a logarithm is far below this.
-    off = np.abs(np.where(np.isfinite(log_f), apart - factor, apart)) > 1e-2
+    off = ~(np.abs(np.where(np.isfinite(log_f), apart - factor, apart)) <= 1e-2)
     k = int(np.argmax(off))
     require(
         not off.any(),
-        f"Image: the chain must sample the importance function {type(importance).__name__}; its target, "
-        f"{type(target).__name__}, is another density: at x = {points[k]} they are {np.exp(log_i[k]):.6g} and "
-        f"{np.exp(log_f[k]):.6g}",
+        f"Image: the chain must sample {names} is another density: at x = {points[k]} their logarithms are "
+        f"{log_i[k]:.6g} and {log_f[k]:.6g}, {factor:.6g} apart at most places",
     )
 
 

@@ -30,6 +30,8 @@ def parameter(value: ArrayLike) -> Real:
         return value
     try:
         return np.asarray(value, np.float64)
+    except jax.errors.JAXTypeError:  # has a better name for a list of traced numbers
+        raise
     except (TypeError, ValueError):
         raise ValueError(f"a parameter is a number, or an array of them, not {value!r}") from None
 

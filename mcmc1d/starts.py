@@ -67,12 +67,17 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
     looked, probes, _ = _draw(probe_key, target, _CANDIDATES, dtype, index)
     probes, log_c = np.asarray(probes, np.float64), np.asarray(looked.seen.log_c)
     bound = 1.25 * float(np.max(probes, where=np.isfinite(probes), initial=0))  # what is not finite is told below
-    top = float(np.max(log_c, where=~np.isnan(log_c), initial=-np.inf))
+    top = float(np.max(log_c, where=np.isfinite(log_c), initial=-np.inf))
+    require(
+        top <= np.log(np.finfo(dtype).max),
+        f"{type(target.target).__name__}: the density's logarithm reaches {top:.4g}, and it is infinite in {dtype}: "
+        "subtract a constant from log f, no law depends on it",
+    )
     why = "nothing to start from"
     if top > -np.inf:
         why = f"its logarithm reaches {top:.4g}: add a constant to log f, no law depends on it"
     require(
-        bound > 0,
+        bound > 0 or bool(np.isposinf(probes).any()),
         f"{type(target.target).__name__}: the density is zero at all of {_CANDIDATES} probes; {why}",
     )
     kept: list[State] = []

@@ -140,7 +140,7 @@ class Scene:
     sensor: Pinhole | Wall
 
     def __post_init__(self):
-        require(isinstance(self.segments, Sequence), f"scene {self.name}: segments is a sequence of Segment")
+        require(np.iterable(self.segments), f"scene {self.name}: segments are several, not {self.segments!r}")
         object.__setattr__(self, "segments", tuple(self.segments))
         require(len(self.segments) > 0, f"scene {self.name}: there is no segment")
         for k, segment in enumerate(self.segments):

@@ -37,7 +37,7 @@ class Mixture(Move):
         """
         require(isinstance(moves, Mapping) and len(moves) > 0, "Mixture: give moves by name, one at least")
         for name, pair in moves.items():
-            two = isinstance(pair, tuple) and len(pair) == 2
+            two = isinstance(pair, Sequence) and len(pair) == 2
             require(two, f"Mixture: of move {name!r} give (probability, move), not {type(pair).__name__}")
         self.names, self.seldom = tuple(moves), tuple(seldom)
         unknown = set(self.seldom) - set(self.names)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import traced
 from mcmc1d.numerics import below_one, limit, require
 from mcmc1d.types import Array, Corners, Float, Scalar
 
@@ -107,13 +108,14 @@ def sample_shape(technique: Technique) -> tuple[int, ...]:
     return eqx.filter_eval_shape(technique.forward, _floats(technique.dim_u))[0].shape
 
 
-def checked_shape(technique: Technique) -> tuple[int, ...]:
+def checked_shape(technique: Technique, dtype: Any = None) -> tuple[int, ...]:
     """`sample_shape`; `ValueError` unless all that the technique returns has the shape that it should have.
 
-    Nothing is computed. What else would be told in other words: a (1,) for a () broadcasts, and is wrong silently.
+    Nothing is computed; `dtype` is that of u and x, JAX's default unless given. What else would be told in other words:
+    a (1,) for a () broadcasts, and is wrong silently.
     """
     m = technique.dim_u
-    x, v = _returned(technique, "forward", (_floats(m),), x=None, v=None, log_det=())[:2]
+    x, v = _returned(technique, "forward", (_floats(m, dtype=dtype),), x=None, v=None, log_det=())[:2]
     d = math.prod(np.shape(x))
     who = f"{type(technique).__name__}.forward"
     require(
@@ -121,21 +123,24 @@ def checked_shape(technique: Technique) -> tuple[int, ...]:
         f"{who}: u has {m} numbers and x {d}; what x forgets of u must be returned as v, of shape ({m - d},), not "
         f"{np.shape(v)}",
     )
-    x, v = _floats(*np.shape(x)), _floats(*np.shape(v))
+    x, v = (_floats(*np.shape(part), dtype=dtype) for part in (x, v))
     _returned(technique, "inverse", (x, v), u=(m,), log_det=())
     _returned(technique, "log_prob", (x,), log_density=())
+    if type(technique).prob is not Technique.prob and eqx.filter_eval_shape(technique.prob, x) is not None:
+        _returned(technique, "prob", (x,), density=())
     return x.shape
 
 
-def _floats(*shape: int) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype)
+def _floats(*shape: int, dtype: Any = None) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype if dtype is None else dtype)
 
 
 def _returned(technique: Technique, method: str, given: tuple[Any, ...], **promised: tuple[int, ...] | None) -> Any:
     """The shapes of what a method returns, or `ValueError` unless it is what was promised; None may have any shape."""
-    found = eqx.filter_eval_shape(getattr(technique, method), *given)
-    parts = found if isinstance(found, tuple) else (found,)
     who = f"{type(technique).__name__}.{method}"
+    with traced(who):
+        found = eqx.filter_eval_shape(getattr(technique, method), *given)
+    parts = found if isinstance(found, tuple) else (found,)
     arrays = [isinstance(part, jax.ShapeDtypeStruct | float | int | np.ndarray) for part in parts]
     kinds = ["an array" if array else type(part).__name__ for array, part in zip(arrays, parts, strict=True)]
     require(

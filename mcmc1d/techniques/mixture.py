@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from mcmc1d.checks import require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.numerics import choose, cumulative, is_concrete, log_sum, parameter, pick, require, unchoose
-from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
+from mcmc1d.techniques.base import Forward, Inverse, Technique, checked_shape, dim_v
 from mcmc1d.types import Array, Corners, Float, Real, Scalar
 
 
@@ -42,7 +42,7 @@ class Mixture(Technique):
                 bool(np.all(alpha >= 0)) and abs(alpha.sum() - 1) < 1e-6,
                 f"Mixture: the weights must not be negative, and sum to one; {alpha} sum to {alpha.sum()}",
             )
-        shapes = {sample_shape(lobe) for lobe in self.lobes}
+        shapes = {checked_shape(lobe) for lobe in self.lobes}
         require(len(shapes) == 1, f"Mixture: the lobes' samples must have one shape, not {sorted(shapes)}")
 
     @property

@@ -22,6 +22,7 @@ from mcmc1d.verify.maps import Maps
 _V_POINTS = 2**14  # scrambled Sobol points over v, where log_prob is an integral over v and not the determinant
 _SOME_V = 2**6  # for a first look, which finds the x to look at closely
 _X_POINTS = 64
+_LEAST = 1e-6  # of a density, times the box: less, of all of the box, is no mass to speak of
 _NET = 2**18  # points of a box, where the integral of a density of several dimensions has a second witness
 _BEYOND = (1e-3, 0.1, 1.0, 100.0)  # widths of the support; nearer, rounding may tell in or out
 
@@ -66,7 +67,8 @@ def unreached(maps: Maps, count: int, seed: int) -> list[Check]:
     apart = np.abs(maps.forward(np.where(inside[:, None], u, 0.5))[0] - points)[:, : maps.d]
     # Grossly: how near the round trip must come, others check.
     there = inside & (apart <= 1e-2 * (upper - lower)).all(1)
-    bad = (log_prob > -np.inf) & ~there
+    # Far out in a tail, where a CDF rounds to 1, no u leads to a density that is positive still.
+    bad = (log_prob + np.log(upper - lower).sum() > np.log(_LEAST)) & ~there
     k = int(np.argmax(bad))
     where = (
         f"x = {maps.x(points[k])}: log_prob = {log_prob[k]}, but no u in [0, 1) leads there; the inverse gives {u[k]}"
@@ -181,10 +183,13 @@ def integral(technique: Technique) -> Check:
     else:
         breaks = [np.array([b]) for b in technique.breaks] if shape == () else []
         with np.errstate(invalid="ignore"):
-            over = density if lower.size == 1 else _Finite(technique, shape)
+            net = lower.size > 1 and np.isfinite([lower, upper]).all()
+            over = _Finite(technique, shape) if net else density
             value, error = integrate_box(over, np.atleast_1d(lower), np.atleast_1d(upper), breaks)
-            if lower.size > 1 and np.isfinite([lower, upper]).all():
-                error = max(error, abs(value - _by_net(density, lower, upper)))
+            if net:
+                apart = _by_net(density, lower, upper) - value
+                error = max(error, abs(apart))
+                value += apart if np.isinf(apart) else 0.0
     tolerance = float(np.min([np.max([1e-9, 3 * error, 16 * hidden]), 1e-2]))  # NaN if any is
     where = f"the integral of exp(log_prob) over {Maps(technique, np.dtype(np.float64)).support} is {value}"
     note = ""

@@ -39,7 +39,7 @@ def design(
 
     A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are the density and joint
     cells: of every two coordinates (beyond eight coordinates, of neighbours and others, 64 pairs in all) and, of up to
-    five, of every three; of more, the orthants about the medians of up to eight at once.
+    five, of every three; from four on, the orthants about the medians of up to eight neighbours at once.
     Auxiliary coordinates named "u" stay out of the joint cells. Deposits are held to the law of the positions, or to
     what is known of their own, `deposited`; `max_weight` is the largest total weight of a step over the expected one.
     Raises `ValueError` for a CDF that falls.
@@ -249,8 +249,10 @@ def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
 def unseen(draws: Position) -> list[str]:
     """What no test looks at, in words: what a PASS says nothing of."""
     names = [name for name, values in coordinates(draws).items() if np.ptp(values) > 0 and not auxiliary(name)]
-    if len(names) <= _TRIPLES:
+    if len(names) <= 3:
         return []
+    least = "four" if len(names) <= _TRIPLES else "three"
+    at_once = "all" if len(names) <= _ORTHANTS else f"{_ORTHANTS} neighbours"
     left = len(names) * (len(names) - 1) // 2 - len(_pairs(names))
     pairs = f", and {left} pairs" if left else ""
-    return [f"what three coordinates show together, but for {_ORTHANTS} at once below or above their medians{pairs}"]
+    return [f"what {least} coordinates show together, but for {at_once} at once below or above their medians{pairs}"]

@@ -8,19 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import UNTRACEABLE
 from mcmc1d.compiling import quickly, traced_once, wide_jit
 from mcmc1d.numerics import require
 from mcmc1d.types import Array, Key
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.subject import PICK, Look, Subject, drawn, key_of, pick
-
-_UNTRACEABLE = (
-    jax.errors.TracerArrayConversionError,
-    jax.errors.TracerBoolConversionError,
-    jax.errors.TracerIntegerConversionError,
-    jax.errors.ConcretizationTypeError,
-    jax.errors.NonConcreteBooleanIndexError,
-)
 
 
 class JaxKernel(eqx.Module):
@@ -83,7 +76,7 @@ class JaxSubject(Subject):
         try:
             state = eqx.filter_eval_shape(self.kernel.begin, key, one)
             out = eqx.filter_eval_shape(self.kernel.move, key, state)
-        except (*_UNTRACEABLE, TypeError, AttributeError) as error:
+        except (*UNTRACEABLE, TypeError, AttributeError) as error:
             raise ValueError(
                 f"{self.name} can not be traced by JAX as step(key, position) of one chain, whose position is "
                 f"{_shapes(one)} ({type(error).__name__}: {str(error).splitlines()[0]}); write it with jax.numpy and "

@@ -19,7 +19,7 @@ class Maps:
 
     def __init__(self, technique: Technique, dtype: np.dtype):
         self.technique, self.dtype = technique, dtype
-        self.shape = checked_shape(technique)
+        self.shape = checked_shape(technique, dtype)
         self.d = int(np.prod(self.shape))
 
     def forward(self, u: np.ndarray) -> list[np.ndarray]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import jax
 import numpy as np
 
+from mcmc1d.checks import traced
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
 from mcmc1d.verify.design import auxiliary, design, partitions, unseen
@@ -112,10 +113,8 @@ class Trial:
         """The draws, the least likely first."""
         log_density = self.sampler.law.log_density
         if log_density is not None:
-            try:
+            with traced(f"{self.sampler.law.name}: log_density, a function of one position,"):
                 values = np.asarray(jax.vmap(log_density)(draws))
-            except jax.errors.TracerArrayConversionError:
-                raise LawError(f"{self.sampler.law.name}: write log_density with jax.numpy, of one position") from None
             bad = np.isnan(values) | np.isposinf(values)
             if bad.any():
                 at = point(coordinates(draws), int(np.argmax(bad)))

@@ -28,7 +28,7 @@ def test_each_runs_once_pinned_and_the_worst_exit_code_counts(tmp_path, monkeypa
 
 
 def test_the_command_gives_each_experiment_its_own_process_but_those_that_measure_time(monkeypatch, tmp_path):
-    """The lone ones come last, when nothing else runs; every option is handed on."""
+    """The long ones come first, the lone ones last, when nothing else runs; every option is handed on."""
     calls = []
 
     def stub(module, parts, jobs, done):
@@ -46,5 +46,5 @@ def test_the_command_gives_each_experiment_its_own_process_but_those_that_measur
         command_line.main()
     assert ended.value.code == 1
     together, alone = calls
-    assert together == ("experiments", [["run", name, *options] for name in names[1:]], 2)
+    assert together == ("experiments", [["run", name, *options] for name in (names[2], names[1])], 2)
     assert alone == ("experiments", [["run", names[0], "--jobs", "2", *options]], 1)

@@ -16,6 +16,7 @@ import pytest
 from scipy.stats import binom, norm
 
 import mcmc1d
+from mcmc1d.compiling import quickly
 from mcmc1d.flatland import Bidirectional, Light, Material, Paths, Pinhole, Scene, geometry
 from mcmc1d.flatland.any_length import AnyLength, LightOfAnyLength
 from mcmc1d.flatland.integrators import MLT
@@ -29,7 +30,7 @@ from mcmc1d.flatland.scenes import polygon
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Mixture
 from mcmc1d.state import State
-from mcmc1d.verify.compare import log_abs_det, quickly
+from mcmc1d.verify.compare import log_abs_det
 
 pytestmark = pytest.mark.slow
 

@@ -341,7 +341,7 @@ def test_faults():
     mirrors = Scene("mirrors", tuple(ring(SQUARE, Material(emission=1.0, mirror=1.0))), EYE)
     with pytest.raises(ValueError, match="absorb a little"):
         reference.converged(mirrors, COARSE)
-    with pytest.raises(ValueError, match="lengths must be 1"):
+    with pytest.raises(ValueError, match="lengths must be a whole number, 1 at least"):
         reference.image(scene, 0)
     with pytest.raises(ValueError, match="must be under 1"):
         reference.furnace(1.0, 1.0)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import jax
+import numpy as np
 
 from mcmc1d.checks import require_instance, require_key, require_whole
 from mcmc1d.flatland.integrators.base import Integrator
@@ -79,9 +80,10 @@ def integrate(
         integrator = known[integrator]
     require_instance(integrator, Integrator, "integrate: the integrator")
     require_instance(scene, Scene, "integrate: the scene")
-    for k in lengths if isinstance(lengths, Sequence) else (lengths,):
+    several = np.iterable(lengths)
+    for k in lengths if several else (lengths,):
         require_whole(k, "integrate: lengths: a number of edges")
-    each = tuple(lengths) if isinstance(lengths, Sequence) else range(1, lengths + 1)
+    each = tuple(lengths) if several else range(1, lengths + 1)
     distinct = len(set(each)) == len(each) > 0
     require(distinct, f"integrate: lengths are different numbers of edges, one at least, not {lengths}")
     require_key(key, "integrate")
