@@ -40,7 +40,7 @@ class Config:
     trap_seeds: int = 1
     sweep_seeds: int = 1
     """Seeds a severity of the power curve."""
-    every: int = 3
+    every: int = 4
     """Every so many mutants and traps; 1 is all of them, as in the tests."""
     full: bool = False
     """Also the chains of which wrong moves are a part, and the severities that no claim is about."""

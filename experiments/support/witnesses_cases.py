@@ -111,12 +111,15 @@ def _multiple_try() -> dict[str, Case]:
 
 def _deposits() -> dict[str, Case]:
     small, large = SmallStep(0.15), LargeStep()
-    packet = MultipleTry(small, 4, evenly)
+    packet, evenly_chosen = MultipleTry(small, 4), MultipleTry(small, 4, evenly)
     sub, split = SubChain(large, small, 2), SplitSample(small, 3)
     return {
         "two states of a packet": Case("cmlt.repair", packet, LINE),
         "auxiliary centre": Case("cmlt.repair", AuxiliaryCentre(small, 4), LINE, parts=(small,)),
         "all of a packet": Case("cmlt.deposit-unbiased", PublishedDeposit(packet), LINE, False, parts=(packet,)),
+        "all of a packet, chosen evenly": Case(
+            "cmlt.deposit-even", PublishedDeposit(evenly_chosen), LINE, parts=(evenly_chosen,)
+        ),
         "sub-chain": Case("cmlt.sub-chain", sub, LINE, parts=(large, small)),
         "sub-chain from the proposal": Case(
             "cmlt.sub-chain-proposal", cmlt_sigma_p.FromTheProposal(sub, large), LINE, False, parts=(large, small)

@@ -97,7 +97,9 @@ class _Contract:
         bits = rounding * (steepness(out.jacobian, out.slope) * image + near_one).sum(1)
         points = Points(uw, condition, rounding=felt, cap=_LARGEST_TOLERANCE, last_bits=bits)
         inside = ((out.uw >= 0) & (out.uw < 1)).all(1) & (out.index >= 0) & (out.index < n)
-        possible = inside & np.isfinite(out.log_det)
+        proposed = inside & np.isfinite(out.log_det)
+        # From where the target is zero a move may get away as it likes: no chain comes there.
+        possible = proposed & out.lit
 
         def describe(k: int) -> str:
             def state(i: np.ndarray, p: np.ndarray) -> str:
@@ -114,8 +116,8 @@ class _Contract:
         back = "log_det of the way back = -log_det"
         both = (possible, describe)
         checks = [
-            self._alive(out, possible & points.regular, index[:count], uw[:count]),
-            self._looked_at(out, possible & points.regular, uw[:count]),
+            self._alive(out, proposed & points.regular, index[:count], uw[:count]),
+            self._looked_at(out, proposed & points.regular, uw[:count]),
             compare(
                 twice,
                 points,
@@ -178,7 +180,7 @@ class _Contract:
     def _looked_at(self, out: "Outcome", regular: np.ndarray, uw: np.ndarray) -> Check:
         """Of the random points that may be accepted, the share that the equations below can not be held to."""
         n = len(uw)
-        matter = out.acceptance[:n] > 0
+        matter = (out.acceptance[:n] > 0) & out.lit[:n]
         left_out = matter & ~regular[:n]
         share = left_out.sum() / max(1, matter.sum())
         k = int(np.argmax(left_out))

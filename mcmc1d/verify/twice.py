@@ -16,7 +16,7 @@ from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.numerics import still
 from mcmc1d.state import Eval, Multiplexed, State
-from mcmc1d.types import Array, Float, Int, Real, Scalar
+from mcmc1d.types import Array, Bool, Float, Int, Real, Scalar
 
 
 class Outcome(eqx.Module):
@@ -35,6 +35,8 @@ class Outcome(eqx.Module):
     """What the move says of its proposal; None where it leaves the evaluation to the kernel."""
     found: Eval
     """What an evaluation finds there."""
+    lit: Bool[Real, " n"]
+    """Whether the target is positive where it began: a chain is nowhere else."""
     sensitivity: Float[Real, " n"]
     """The largest derivative with respect to u of what an evaluation finds, at either end."""
     felt: Float[Real, " n"]
@@ -71,6 +73,7 @@ def over(move: Move, target: Multiplexed, index: Int[Array, " n"], points: Float
         slope=slope,
         kept=first.state.eval,
         found=there.found,
+        lit=here.found.log_c > -jnp.inf,
         sensitivity=jnp.max(jnp.stack(steepest), axis=0),
         felt=jnp.maximum(here.felt, there.felt),
     )

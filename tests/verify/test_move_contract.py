@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mcmc1d import Multiplexed, State
-from mcmc1d.moves import AimedJump, LargeStep, Move, Proposal, SmallStep, TechniqueChange
+from mcmc1d.moves import AimedJump, LargeStep, Move, MultipleTry, Proposal, SmallStep, TechniqueChange
 from mcmc1d.moves.technique import LOPSIDED
 from mcmc1d.numerics import normal_quantile
-from mcmc1d.targets import Sinusoid
-from mcmc1d.techniques import Uniform
+from mcmc1d.targets import Checkerboard, Sinusoid
+from mcmc1d.techniques import Rectangle, Uniform
 from mcmc1d.verify import check_move, hard_target
 from mcmc1d.verify.mutants.jumps import MUTANTS, WrongDeterminant
 
@@ -114,3 +114,18 @@ def test_the_worst_point_that_is_told_is_a_regular_one():
     ]
     assert "autodiff nan" not in failure.where
     assert "(index" in failure.where
+
+
+class WithoutReturn(MultipleTry):
+    """Multiple-try whose selector comes back at another place of its interval."""
+
+    def propose(self, target, state, w):
+        proposal = super().propose(target, state, w)
+        return Proposal(proposal.state, proposal.w.at[-1].multiply(0.999), proposal.log_det)
+
+
+def test_what_a_move_does_where_the_target_is_zero_is_no_mistake():
+    """Half of this board is dark: from there multiple-try takes any lit candidate, and has no way back."""
+    board = Multiplexed(Checkerboard([[1.0, 0.0], [0.0, 2.0]]), Rectangle())
+    assert check_move(MultipleTry(SmallStep(0.3), 3), board, dtypes=(np.float64,))
+    assert not check_move(WithoutReturn(SmallStep(0.3), 3), board, dtypes=(np.float64,))
