@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -26,13 +27,13 @@ def require_instance(value: Any, kind: type[T], who: str, fix: str = "") -> T:
 def require_whole(value: Any, who: str, least: int = 1) -> None:
     """Raise `ValueError` unless `value` is a whole number, `least` at least; True is none."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    require(whole and value >= least, f"{who} must be a whole number, {least} at least, not {value!r}")
+    require(whole and bool(value >= least), f"{who} must be a whole number, {least} at least, not {value!r}")
 
 
 def require_key(key: Any, who: str) -> None:
     """Raise `ValueError` unless `key` is a random key of JAX: a seed in its place is a common slip."""
     dtype = getattr(key, "dtype", None)
-    typed = dtype is not None and jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key)
+    typed = dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key)
     one = np.shape(key) == () if typed else dtype == np.uint32 and np.shape(key) == (2,)
     seed = key if isinstance(key, int | np.integer) else 0
     require(one, f"{who}: the key must be one of JAX, such as jax.random.key({seed})")

@@ -63,7 +63,7 @@ def unreached(maps: Maps, count: int, seed: int) -> list[Check]:
     points = np.random.default_rng(seed + 4).random((count, maps.technique.dim_u))
     points[:, : maps.d] = lower + (upper - lower) * points[:, : maps.d]
     u, _, log_prob = maps.inverse(points)
-    inside = ((u >= 0) & (u < 1)).all(1)
+    inside = np.all((u >= 0) & (u < 1), axis=1)
     apart = np.abs(maps.forward(np.where(inside[:, None], u, 0.5))[0] - points)[:, : maps.d]
     # Grossly: how near the round trip must come, others check.
     there = inside & (apart <= 1e-2 * (upper - lower)).all(1)
