@@ -79,7 +79,7 @@ said = {}
 for call in json.loads(sys.argv[1]):
     try:
         said[call] = f"no error but {eval(call)}"
-    except Exception as error:
+    except ValueError as error:
         said[call] = f"{type(error).__name__}: {error}"
 print(json.dumps(said))
 """
