@@ -50,6 +50,7 @@ CALLS = {
     "moves.MultipleTry(move, 1.5)": "MultipleTry: tries must be a whole number, 1 at least, not 1.5",
     "moves.MultipleTry(move, candidates=moves.Stratified)": "the candidates: give an instance, Stratified(...)",
     "tempering.replicas(targets.Ring(), [1.0])": "name another: replicas(target, betas, technique)",
+    "flatland.integrators.integrate(key, 'pt', flatland.scenes.scene('box'), lengths=1.5)": "must be a whole number",
     "flatland.Segment((0, 0), (1, 1), 3)": "Segment: the material must be a Material, not a int",
     "flatland.Pinhole(3, (1.0, 0.0))": "Pinhole: position is a point, two numbers, not 3",
     "flatland.Wall(3)": "Wall: segment is a segment's name, not 3",
