@@ -122,8 +122,7 @@ def _library(config: Config, target: mcmc1d.Multiplexed, move: Move, evaluations
     began = time.perf_counter()
     x = mcmc1d.trace(second, move, target, steps=config.steps, chains=config.chains, start=start).x
     seconds = time.perf_counter() - began
-    x = x[..., None] if x.ndim == 2 else x if x.shape[-1] == 2 else np.moveaxis(x, 1, -1)
-    return Walk(x, seconds, evaluations)
+    return Walk(x[..., None] if x.ndim == 2 else x, seconds, evaluations)
 
 
 def _start(target: mcmc1d.Multiplexed, seed: int, count: int) -> np.ndarray:

@@ -1,14 +1,8 @@
 """The plane: each technique's contract, jumps between techniques against exact cells, and three maps of one disk."""
 
-import itertools
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
-import emcee
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -19,20 +13,20 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
+from experiments.support import planar_maps, planar_theories
+from experiments.support.beside import both_cores
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
-from experiments.support.planar_theories import claims as theory_claims
-from experiments.support.planar_theories import put_to_verify, theories
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import passes, verdict
+from experiments.support.verdict import expected_distance, passes, verdict
 from mcmc1d import verify
 from mcmc1d.moves import AimedJump, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.moves.multiple_try import by_target
 from mcmc1d.planar_histogram import Histogram2D, planar_joint_masses
 from mcmc1d.quadrature import integrate_plane
 from mcmc1d.targets import Ring, Target
-from mcmc1d.targets.planar import board, two_ridges
-from mcmc1d.techniques import ConcentricDisk, MarginalConditional, PolarDisk, Rectangle, Technique
+from mcmc1d.targets.planar import board
+from mcmc1d.techniques import ConcentricDisk, MarginalConditional, Technique
 from mcmc1d.techniques.disk import EXAMPLES as DISKS
 from mcmc1d.techniques.planar import EXAMPLES as BOXES
 from mcmc1d.techniques.planar import outlines
@@ -88,13 +82,6 @@ CASES = (
 _COARSE = 8  # cells a side of the test of last states
 LEVEL = 1e-6
 """Of the test of the chains' last states, which are independent: each chain starts as an exact draw."""
-MAPS: dict[str, Technique] = {
-    # A disk around the unit square, so that each of the three makes all of it.
-    "polar": PolarDisk((0.5, 0.5), 0.7072),
-    "concentric": ConcentricDisk((0.5, 0.5), 0.7072),
-    "uniform": Rectangle(),
-}
-WALKED: dict[str, Target] = {"ring": Ring(), "ridges": two_ridges()}
 
 
 def multiplexed(target: Target) -> mcmc1d.Multiplexed:
@@ -128,8 +115,8 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         return verify.verify(kernels["reversible jump"], target, replicas=config.replicas, seed=seed)
 
     reports = both_cores(verified, targets.values(), partial(progress, "verify"))
-    points = [(name, config.theory_replicas, seed) for name in theories()]
-    theory = progress.map("theories", put_to_verify, points)
+    points = [(name, config.theory_replicas, seed) for name in planar_theories.theories()]
+    theory = progress.map("theories", planar_theories.put_to_verify, points)
     edges, coarse = np.linspace(0, 1, config.cells + 1), np.linspace(0, 1, _COARSE + 1)
     masses = {name: target.bin_masses((edges, edges)) for name, target in TARGETS.items()}
     joint = {name: planar_joint_masses(target, coarse, coarse) for name, target in targets.items()}
@@ -149,7 +136,10 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         return result.mean("x"), result.standard_error("x"), _last(targets[name], result.state, joint[name], coarse)
 
     found, error, p = zip(*both_cores(histogram, range(len(CASES)), partial(progress, "histograms")), strict=True)
-    times, spread, distance, chance = _maps(config, seed, progress)
+    key = jax.random.key(seed)
+    maps = planar_maps.measure(
+        key, config.sigma, config.trace_steps, config.trace_chains, partial(progress, "three maps")
+    )
     return xr.Dataset(
         {
             "contract": ("technique", [passed for passed, _, _ in contracts]),
@@ -164,18 +154,15 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "error": (("case", "x", "y"), list(error)),
             "p_last": ("case", list(p)),
             "gap_last": smallest_gap(config.chains, LEVEL),
-            "time": (("walked", "chart", "coordinate"), times),
-            "time_error": (("walked", "chart", "coordinate"), spread),
-            "map_distance": (("walked", "chart"), distance),
-            "map_chance": (("walked", "chart"), chance),
+            **maps,
         },
         {
             "technique": list(TECHNIQUES),
             "target": list(TARGETS),
-            "theory": list(theories()),
+            "theory": list(planar_theories.theories()),
             "case": [f"{move}, {name}" for name, move in CASES],
-            "walked": list(WALKED),
-            "chart": list(MAPS),
+            "walked": list(planar_maps.WALKED),
+            "chart": list(planar_maps.MAPS),
         },
     )
 
@@ -188,20 +175,6 @@ def _last(target: mcmc1d.Multiplexed, state: mcmc1d.State, joint: np.ndarray, ed
     return p_value(counts[lit], joint[lit]) if counts[~lit].sum() == 0 else 0.0
 
 
-def both_cores(work: Callable[[Any], Any], items: Iterable, progress: Callable[[int, int], None]) -> list[Any]:
-    """`work` on each item, two at once: most of it is compiling, which takes one core."""
-    todo, done = list(items), itertools.count(1)
-
-    def one(item: Any) -> Any:
-        result = work(item)
-        progress(next(done), len(todo))
-        return result
-
-    with ThreadPoolExecutor(2) as pool:
-        # Each in the context of here, where long runs learn where they are kept.
-        return [part.result() for part in [pool.submit(copy_context().run, one, item) for item in todo]]
-
-
 def _contract(config: Config, technique: Technique) -> tuple[bool, float, float]:
     """Whether it passes in float64, its largest error as a share of the tolerance there, the integral's error."""
     report = verify.check_technique(technique, points=config.points, dtypes=(np.float64,))
@@ -210,49 +183,6 @@ def _contract(config: Config, technique: Technique) -> tuple[bool, float, float]
     sides = [np.linspace(lower[k], upper[k], 5) for k in range(2)]
     masses, _ = integrate_plane(lambda x: jnp.exp(technique.log_prob(x)), sides[0], sides[1], outlines(technique))
     return report.passed, max(check.error / check.tolerance for check in equations), float(abs(masses.sum() - 1))
-
-
-def _maps(config: Config, seed: int, progress: Sweep) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Autocorrelation times of small steps through each map, their errors, TV of each histogram and that of chance."""
-    edges, groups = np.linspace(0, 1, 9), 32
-    exact = {name: target.bin_masses((edges, edges)) for name, target in WALKED.items()}
-
-    def walk(k: int) -> tuple[np.ndarray, np.ndarray, float, float]:
-        walked, chart = list(WALKED)[k // len(MAPS)], list(MAPS)[k % len(MAPS)]
-        x = planar(
-            mcmc1d.trace(
-                jax.random.fold_in(jax.random.key(seed), 100 + k),
-                SmallStep(config.sigma),
-                mcmc1d.Multiplexed(WALKED[walked], MAPS[chart]),
-                steps=config.trace_steps,
-                chains=config.trace_chains,
-            ).x
-        )
-        parts = np.split(x, groups, axis=1)
-        each = [emcee.autocorr.integrated_time(part, tol=0) for part in parts]
-        counts = [np.histogramdd(part.reshape(-1, 2), [edges, edges])[0] for part in parts]
-        shares, law = np.array(counts) / np.sum(counts[0]), exact[walked] / exact[walked].sum()
-        return (
-            np.mean(each, axis=0),
-            np.std(each, axis=0, ddof=1) / np.sqrt(groups),
-            total_variation(shares.mean(0), law),
-            expected_distance(shares.std(0, ddof=1) / np.sqrt(groups)),
-        )
-
-    found = both_cores(walk, range(len(WALKED) * len(MAPS)), partial(progress, "three maps"))
-    shape = (len(WALKED), len(MAPS))
-    times, spread, distance, chance = (np.array(part) for part in zip(*found, strict=True))
-    return times.reshape(*shape, 2), spread.reshape(*shape, 2), distance.reshape(shape), chance.reshape(shape)
-
-
-def planar(x: np.ndarray) -> np.ndarray:
-    """A trace's x as (steps, chains, 2); the runner keeps the chains last."""
-    return x if x.shape[-1] == 2 else np.moveaxis(x, 1, -1)
-
-
-def expected_distance(error: np.ndarray) -> float:
-    """The total variation that normal errors of these standard deviations make, on average."""
-    return float(np.sqrt(2 / np.pi) * error.sum() / 2)
 
 
 def draw(data: xr.Dataset) -> Figure:
@@ -374,41 +304,4 @@ def judge(data: xr.Dataset) -> list[Claim]:
                 held,
             )
         )
-    return [*claims, *theory_claims(data), *_map_claims(data)]
-
-
-def _map_claims(data: xr.Dataset) -> list[Claim]:
-    ratio = float((data.map_distance / data.map_chance).max())
-    claims = [
-        Claim(
-            "planar.maps-law",
-            "Polar, concentric and uniform maps of one domain give small steps one law",
-            "Shirley and Chiu 1997; ours",
-            "holds" if ratio < 5 else "fails",
-            "holds",
-            f"TV from the exact law {float(data.map_distance.max()):.4f} at most, {ratio:.2f} times what chance makes",
-            "5 times what chance makes on average, 64 cells: 4e-4 of the runs, if one number moves all of them",
-        )
-    ]
-    for walked in data.walked.to_numpy():
-        here = data.sel(walked=walked)
-        slow = [int(np.argmax(here.sel(chart=name).time.to_numpy())) for name in ("polar", "concentric")]
-        times = [float(here.time.sel(chart=name)[k]) for name, k in zip(("polar", "concentric"), slow, strict=True)]
-        errors = [
-            float(here.time_error.sel(chart=name)[k]) for name, k in zip(("polar", "concentric"), slow, strict=True)
-        ]
-        apart = abs(times[0] - times[1]) / np.hypot(errors[0], errors[1])
-        uniform = float(here.time.sel(chart="uniform").max())
-        claims.append(
-            Claim(
-                f"planar.maps-time-{walked}",
-                f"The map decides how fast small steps in u mix ({walked})",
-                "ours; Shirley and Chiu 1997",
-                "holds" if apart > 6 else "fails",
-                "holds",
-                f"autocorrelation time, slower coordinate: polar {times[0]:.1f} ± {errors[0]:.1f}, concentric "
-                f"{times[1]:.1f} ± {errors[1]:.1f}, uniform {uniform:.1f}",
-                "6 standard errors between polar and concentric (32 groups)",
-            )
-        )
-    return claims
+    return [*claims, *planar_theories.claims(data), *planar_maps.claims(data)]

@@ -1,11 +1,14 @@
-"""Commands side by side, each in a process that is pinned to a core: compiling, most of what they do, uses one."""
+"""Side by side, since compiling uses one core: commands in processes that are pinned to one each, calls in threads."""
 
+import itertools
 import os
 import queue
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextvars import copy_context
+from typing import Any
 
 from mcmc1d.numerics import require
 
@@ -53,4 +56,18 @@ def side_by_side(module: str, parts: Sequence[Sequence[str]], jobs: int, done: C
     return max(codes)
 
 
-__all__ = ["side_by_side"]
+def both_cores(work: Callable[[Any], Any], items: Iterable, progress: Callable[[int, int], None]) -> list[Any]:
+    """`work` on each item, two at once: most of it is compiling, which takes one core."""
+    todo, done = list(items), itertools.count(1)
+
+    def one(item: Any) -> Any:
+        result = work(item)
+        progress(next(done), len(todo))
+        return result
+
+    with ThreadPoolExecutor(2) as pool:
+        # Each in the context of here, where long runs learn where they are kept.
+        return [part.result() for part in [pool.submit(copy_context().run, one, item) for item in todo]]
+
+
+__all__ = ["both_cores", "side_by_side"]
