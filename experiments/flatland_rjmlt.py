@@ -12,6 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
+from scipy.stats import sem
 
 import mcmc1d
 from experiments.support.flatland_chains import METHODS, MOVES, films, mixed_kernel, mixes
@@ -124,7 +125,7 @@ def accepted(edges: int, fields: dict[str, Any], seed: int) -> dict[str, Any]:
     w = jax.random.uniform(jax.random.fold_in(key, 1), (config.states, kernel.dim_w(target)), states.u.dtype)
     kind, chance, predicted = (np.asarray(part) for part in _proposals(kernel, target, states, w))
     each = [chance[kind == MOVES.index(move)].astype(np.float64) for move in SHOWN] + [predicted.astype(np.float64)]
-    mean, error = [float(a.mean()) for a in each], [float(a.std(ddof=1) / np.sqrt(len(a))) for a in each]
+    mean, error = [float(a.mean()) for a in each], [float(sem(a)) for a in each]
     return {"acceptance": mean[:-1], "error": error[:-1], "predicted": mean[-1], "predicted_error": error[-1]}
 
 

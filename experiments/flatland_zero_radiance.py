@@ -12,6 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
+from scipy.stats import sem
 
 from experiments.support.flatland_chains import METHODS, Lit, close, films, multiplexed_kernel
 from experiments.support.framework import Claim
@@ -99,7 +100,7 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> list[li
     own = jax.random.fold_in(key, len(rows))
     ran = films("chains", own, kernel, target, paths, config.runs, [config.mutations], {METHODS[0]: Lit(config.runs)})
     each = 1 - ran.sums[METHODS[0]] / config.mutations
-    return [*rows, [float(each.mean()), float(each.std(ddof=1) / np.sqrt(config.runs))]]
+    return [*rows, [float(each.mean()), float(sem(each, axis=None))]]
 
 
 def _lit(key: Key, target: Pooled, samples: int) -> float:

@@ -10,6 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
+from scipy.stats import sem
 
 import mcmc1d
 from experiments.support.framework import Claim
@@ -226,20 +227,20 @@ def judge(data: xr.Dataset) -> list[Claim]:
     seen = 8 * float((spread / data.exact).max())
     lost = float(data.lost)
     short = (data.exact.mean() - data.image.sel(importance="vanishing").mean("pixel")).to_numpy()
-    short_error = short.std(ddof=1) / short.size**0.5
+    short_error = sem(short)
     gap = abs(short.mean() - lost) / short_error
     share = float(data.shaded)
     expected = 10 * share / (1 + 9 * share)
     edges = np.linspace(0, 1, data.sizes["pixel"] + 1)
     inside = (edges[:-1] >= SHADED[0] - 1e-9) & (edges[1:] <= SHADED[1] + 1e-9)
     got = data.density.sel(importance="shader").to_numpy()[:, inside].sum(1) / data.sizes["pixel"]
-    got_error = got.std(ddof=1) / got.size**0.5
+    got_error = sem(got)
     squares = {name: data.image.sel(importance=name).var("block", ddof=1).to_numpy() for name in ("f", "shader")}
     better, worse = ((squares["shader"] / squares["f"])[where].mean() for where in (inside, ~inside))
     constant = float(data.acceptance.sel(importance="constant"))
     poisson = data.stratified.sel(kind="constant, large steps").to_numpy()
     ratio = poisson.mean() * float(data.spp)
-    ratio_error = poisson.std(ddof=1) / poisson.size**0.5 * float(data.spp)
+    ratio_error = sem(poisson) * float(data.spp)
     mse = data.hidden_error.mean("replica").to_numpy()
     return [
         Claim(

@@ -16,24 +16,24 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
+from experiments.support import mmlt_marginals_integrals
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
+from experiments.support.mmlt_marginals_integrals import NAMES, SOURCE, TECHNIQUES, F
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import near, passes, verdict
 from mcmc1d.checks import require_instance
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Mixture, Move, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.moves.exchange import CoordinateStep
-from mcmc1d.pooled import Floored, Pooled, floored, integral, samples
+from mcmc1d.pooled import Floored, floored, integral, samples
 from mcmc1d.quadrature import integrate
-from mcmc1d.targets import DensityOf, Sinusoid
-from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Tent, Uniform
+from mcmc1d.targets import DensityOf
+from mcmc1d.techniques import Uniform
 from mcmc1d.verify import enumerate_kernel, ring, transition_operator, verify
 from mcmc1d.verify.finite import RingStep
 from mcmc1d.verify.goodness import total_variation
 from mcmc1d.weights import Balance, FromFunction, Maximum, PathSpace, Power, Weights
-
-SOURCE = "Hachisuka et al. 2014"
 
 
 @dataclass(frozen=True)
@@ -54,14 +54,7 @@ class Config:
 
 PROFILES = {"quick": Config(), "paper": Config(points=2**20, replicas=2**18, chains=2**15, steps=2048)}
 
-F = Sinusoid(0.9, 1.5, 0.1, 2.0)
-"""b = 2.1, so that a normalised target can not hide a factor."""
-HOLE = PiecewiseConstant([0, 0.6, 1], [1, 0])
-TECHNIQUES = (Tent(0.4), Ramp(1.2), HOLE)
-NAMES = ("tent", "ramp", "left part")
 HEURISTICS: dict[str, Weights] = {"balance": Balance(), "power": Power(), "maximum": Maximum()}
-COVERING = (Ramp(1.2), RaisedSinusoid(0.6), Ramp(-0.5))
-"""Techniques that reach all of f by themselves, with a bounded contribution."""
 LOST = FromFunction(lambda x, p: jnp.concatenate([0.6 * p[:2] / p[:2].sum(), 0.4 * jnp.ones_like(p[:1])]))
 """A partition of unity that is positive where the third technique's density is zero."""
 VERIFIED = (*HEURISTICS, "path space", "floor", "block-wise")
@@ -100,8 +93,6 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         reports.append(verify(kernel, target, seed=seed, replicas=config.replicas, name=VERIFIED[k]))
         progress("verification", k + 1, len(todo))
     b = float(integral(F))
-    counted = _four()
-    means = [float(part) for part in _integrals(counted)]
     shown = list(operators)
     return xr.Dataset(
         {
@@ -119,10 +110,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "joint": (("run", "technique", "bin"), np.stack(list(joint.values()))),
             "density": ("bin", F.bin_masses(edges) / b),
             "b": b,
-            "primary": ("covering", [integral(Pooled(mcmc1d.Multiplexed(F, t))) for t in COVERING]),
-            "by_technique": ("technique", _integrals(targets["balance"])),
-            "by_path": ("technique", targets["balance"].joint_masses(edges).sum(1) * b),
-            "factor": float(np.mean(means)),
+            **mmlt_marginals_integrals.measure(targets["balance"]),
             "floor_integral": float(Floored(targets["balance"]).bin_masses((np.array([0, 1.0]), edges)).sum()),
             "floor_law": ("what", list(_floor_error(config, floor, edges, exact["balance"].sum(0)))),
             "kept": float(kept.sum() / b),
@@ -148,19 +136,6 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
 
 def _operator(config: Config, step: Move, target: mcmc1d.Multiplexed):
     return transition_operator(step, target, points=config.points, x_cells=1)  # x is a function of (i, u)
-
-
-def _integrals(target: mcmc1d.Multiplexed) -> np.ndarray:
-    """The integral of C_i(u) over the unit interval, for each technique."""
-    edges = np.linspace(0, 1, 2)
-    n = target.n_techniques
-    return n * Floored(target).bin_masses((np.linspace(0, 1, n + 1), edges)).sum(1)
-
-
-def _four() -> mcmc1d.Multiplexed:
-    """With a fourth technique that never contributes, as when no path can hit a pinhole."""
-    weights = FromFunction(lambda x, p: jnp.concatenate([p[:3], jnp.zeros(1)]) / p[:3].sum())
-    return mcmc1d.Multiplexed(F, (*TECHNIQUES, Uniform()), weights)
 
 
 def _kept(target: mcmc1d.Multiplexed, edges: np.ndarray) -> np.ndarray:
@@ -275,23 +250,13 @@ def judge(data: xr.Dataset) -> list[Claim]:
     noise = {str(name): float(data.noise.sel(law=name)) for name in data.law.to_numpy()}
     most = 2 * max(noise[name] for name in HEURISTICS)
     nets = f"TV twice the net's noise, {most:.1e} at most (open to four times)"
-    claims = []
+    claims = mmlt_marginals_integrals.claims(data)
 
     def claim(
         name: str, statement: str, where: str, true: tuple[bool | None, ...], expected: str, number: str, held: str
     ) -> None:
         claims.append(Claim(f"mmlt.{name}", statement, where, verdict(*true), expected, number, held))
 
-    off = max(float(np.abs(data.primary / b - 1).max()), float(np.abs(data.by_technique - data.by_path).max()) / b)
-    claim(
-        "primary-integral",
-        "Each technique's integral over primary space is its integral over paths, with and without MIS weights",
-        f"{SOURCE}, eqs. 9, 10, 16",
-        (off < 1e-9,),
-        "holds",
-        f"off by {off:.1e} of b at most, six integrals",
-        "quadrature, 1e-9",
-    )
     passed, number, held = _verified(data, tuple(HEURISTICS))
     marginal, share = (max(_distances(data, name)[k] for name in HEURISTICS) for k in (0, 1))
     ring_error = float(data.ring)
@@ -337,25 +302,6 @@ def judge(data: xr.Dataset) -> list[Claim]:
             f"{rates[0][0]:.2f} and {rates[1][0]:.2f}, changes {rates[0][1]:.2f} and {rates[1][1]:.2f}",
             "the fundamental matrix of both operators, exact for their nets; no test",
         )
-    )
-    right, feasible, dropped = (float(data.factor) * n / b - 1 for n in (4, 3, 1))
-    claim(
-        "factor",
-        "The number of techniques, infeasible ones included, is the constant that multiplies",
-        f"{SOURCE}, sec. 4",
-        (abs(right) < 1e-9,),
-        "holds",
-        f"4 times the mean of C is b to {abs(right):.0e}; without the factor {dropped:+.0%}",
-        "quadrature, 1e-9",
-    )
-    claim(
-        "factor-feasible",
-        "Counting the techniques that contribute is enough",
-        f"ours; {SOURCE}, sec. 4",
-        (abs(feasible) < 1e-9,),
-        "fails",
-        f"3 of 4 contribute: {feasible:+.0%}",
-        "quadrature, 1e-9",
     )
     loss, found = 1 - float(data.kept), _distances(data, "lost")[1]
     shift = total_variation(data.exact.sel(law="lost").to_numpy().sum(0), data.density.to_numpy())

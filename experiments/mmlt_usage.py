@@ -12,11 +12,13 @@ import xarray as xr
 from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
+from scipy.stats import sem
 
 import mcmc1d
+from experiments.support import mmlt_usage_lengths
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
-from experiments.support.mmlt_usage_lengths import CHECKPOINTS, FIRST, SHARES, histograms, lengths, over_lengths
+from experiments.support.mmlt_usage_lengths import CHECKPOINTS, histograms, lengths, over_lengths
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import passes, verdict
 from mcmc1d.metropolis import Kernel
@@ -127,7 +129,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             joint_histogram = {"x": mcmc1d.Histogram(edges, joint=True)}
             chains = long_run("usage", key, kernel, own, **size, estimators=joint_histogram)
             blocks = chains.sums["x"].sum(2) * config.blocks / (config.chains * config.steps)
-            usage, usage_error = blocks.mean(0), blocks.std(0, ddof=1) / np.sqrt(config.blocks)
+            usage, usage_error = blocks.mean(0), sem(blocks)
         ratio, spread = _effective(config, own, kernel, jax.random.fold_in(key, 1))
         # At equal work: a step of PSSMLT evaluates the samples of all techniques.
         steps = config.work // (1 if one else len(TECHNIQUES))
@@ -236,13 +238,9 @@ def table(data: xr.Dataset) -> Table:
     for name in data.way.to_numpy():
         here = data.sel(way=name)
         error = here.error.to_numpy()
-        cells = f"{float(here.scale):.4f}", f"{float(here.ratio):.2%}", f"{error.mean():.5f}", f"{_se(error):.5f}"
+        cells = f"{float(here.scale):.4f}", f"{float(here.ratio):.2%}", f"{error.mean():.5f}", f"{sem(error):.5f}"
         result.add_row(str(name), *cells)
     return result
-
-
-def _se(values: np.ndarray) -> float:
-    return float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
 def _verified(data: xr.Dataset, name: str) -> tuple[bool | None, str, str]:
@@ -319,68 +317,4 @@ def judge(data: xr.Dataset) -> list[Claim]:
             f"6 s.e., {6 * noise:.2%}",
         )
     )
-    over, each = data.over_lengths.to_numpy(), data.each_length.to_numpy()
-    gain, noise = over.mean() - each.mean(), float(np.hypot(_se(over), _se(each)))
-    biases = data.bias_z.to_numpy()
-    passed, verified, held = _verified(data, "lengths")
-    divided, undivided = float(data.divided_z), float(data.undivided)
-    shares = ", ".join(f"{p:g}" for p in SHARES)
-    claims += [
-        Claim(
-            "mmlt.lengths-law",
-            "One chain over all lengths and one chain for each give the same sum, b_k known",
-            f"{SOURCE}, sec. 4",
-            verdict(bool(biases.max() < 6), passed),
-            "holds",
-            f"{biases[0]:.1f} and {biases[1]:.1f} standard errors at most; (length, x) over all: {verified}",
-            f"6 s.e. in 20 bins; exact joint law, {held}",
-        ),
-        Claim(
-            "mmlt.length-probability",
-            "A contribution is divided by the probability P(k) of its length, any P, and the lengths sum to the whole",
-            f"{SOURCE}, sec. 4",
-            verdict(divided < 6 and abs(float(data.divided) - 1) < 6 * float(data.divided_error)),
-            "holds",
-            f"P = ({shares}): {float(data.divided):.4f} of b, {divided:.1f} standard errors in a bin at most; "
-            f"undivided {undivided:.3f} of b, exactly {float(data.undivided_exact):.3f}",
-            f"quadrature; 6 s.e., of the whole {6 * float(data.divided_error):.3f}",
-        ),
-        Claim(
-            "mmlt.lengths-apart",
-            "One chain for each length is more efficient than one over all lengths",
-            f"{SOURCE}, sec. 4",
-            verdict(gain > 3 * noise),
-            "holds",
-            f"RMS error {each.mean():.5f} apart, {over.mean():.5f} together, at equal steps",
-            f"3 s.e. of the difference, {3 * noise:.5f}",
-        ),
-        Claim(
-            "mmlt.b-once",
-            "b_k estimated once may be zero where b_k is not, and less likely progressively",
-            f"{SOURCE}, sec. 4",
-            verdict(abs(float(data.missed) - float(data.miss_predicted)) < _miss_tolerance(data)),
-            "holds",
-            f"a length lit for 2% of u, {float(data.rare_share):.1%} of b: missed by {FIRST} samples with probability "
-            f"{float(data.miss_predicted):.3f} (measured {float(data.missed):.3f}), "
-            f"by {CHECKPOINTS[1]} {float(data.miss_later):.4f}",
-            f"binomial, 5 s.e., {_miss_tolerance(data):.3f}",
-        ),
-    ]
-    once, later = (data.b_error.sel(estimate=e).to_numpy() for e in ("at the start", "progressively"))
-    claims.append(
-        Claim(
-            "mmlt.b-progressive",
-            "With b_k estimated progressively the error of b keeps falling; estimated once it stays",
-            f"{SOURCE}, sec. 4",
-            verdict(bool(later[-1] < once[-1] / 8)),
-            "holds",
-            f"RMS error of b {once[-1]:.2%} from {FIRST} samples, {later[-1]:.2%} after {CHECKPOINTS[-1]}",
-            f"an eighth; {np.sqrt(CHECKPOINTS[-1] / FIRST):.0f} times less by theory",
-        )
-    )
-    return claims
-
-
-def _miss_tolerance(data: xr.Dataset) -> float:
-    p = float(data.miss_predicted)
-    return float(5 * np.sqrt(p * (1 - p) / float(data.miss_repeats)))
+    return [*claims, *mmlt_usage_lengths.claims(data, *_verified(data, "lengths"))]

@@ -1,7 +1,7 @@
 """Multiple-try: which weights, competitors and perturbations keep the law, and how far off the others are."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,17 +10,20 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
+from experiments.support import mtm_lambda_shapes
 from experiments.support.framework import Claim
 from experiments.support.mtm_lambda_kernels import (
     ASYMMETRIC,
+    CANDIDATES,
     RING_STEP,
+    SOURCE,
     SYMMETRIC,
     F,
     FreshCompetitors,
+    Kept,
     OtherStrata,
     Unchecked,
     rings,
@@ -31,14 +34,12 @@ from experiments.support.verdict import passes, verdict, witnessed
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import (
     Antithetic,
-    LinearStep,
     Move,
     MultipleTry,
     Rotated,
     SmallStep,
     Stratified,
     TruncatedStep,
-    UniformStep,
 )
 from mcmc1d.moves.multiple_try import by_target, evenly
 from mcmc1d.targets import FromFunction, GaussianMixture
@@ -46,8 +47,6 @@ from mcmc1d.techniques import Uniform
 from mcmc1d.verify import enumerate_kernel, ring, transition_operator, verify
 from mcmc1d.verify.goodness import total_variation
 from mcmc1d.verify.mutants.jumps import WrongDeterminant
-
-SOURCE = "Segovia et al. 2007"
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class Config:
     bins: int = 20
     cells: int = 100
     points: int = 2**13
-    """Of a net for the operator of a perturbation, of which there are two."""
+    """Of a net for the operator of a perturbation at a size, of which there are twelve."""
     law_points: int = 2**16
     """Of a net for the law with and without the normaliser."""
     chains: int = 2**14
@@ -70,16 +69,8 @@ class Config:
 
 PROFILES = {"quick": Config(), "paper": Config(cells=400, points=2**18, law_points=2**19, chains=2**20, replicas=2**17)}
 
-SIZES = (0.06, 0.12, 0.18, 0.25)
-SHAPES: dict[str, Callable[[float], Move]] = {
-    "Gaussian": SmallStep,
-    "uniform": lambda sigma: UniformStep(sigma * np.sqrt(12)),
-    "linear": lambda sigma: LinearStep(sigma * np.sqrt(24)),
-}
-
 LONG = True
 """Its quick profile takes more than a minute: of several experiments it is begun early."""
-TRIES = (1,)
 CLAMPED = ("with", "without", "without, p = 4")
 LINE = mcmc1d.Multiplexed(GaussianMixture([0.1, 0.45, 0.9], [0.08, 0.06, 0.12], [0.5, 0.2, 0.3]), Uniform())
 
@@ -130,14 +121,22 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     data["verdict"] = ("witness", [report.verdict.value for report in verdicts.values()])
     data["gap"] = ("witness", [report.gap for report in verdicts.values()])
     data["first_p"] = ("witness", [report.p_value for report in verdicts.values()])
+    shapes = mtm_lambda_shapes.measure(
+        jax.random.key(seed),
+        LINE,
+        config.bins,
+        config.cells,
+        config.points,
+        config.chains,
+        partial(progress, "perturbations"),
+    )
     return xr.Dataset(
-        {**data, **_clamped(config, progress), **_shapes(config, seed, progress)},
+        {**data, **_clamped(config, progress), **shapes},
         {
             "ring": list(kernels),
             "witness": list(verdicts),
-            "shape": list(SHAPES),
-            "sd": list(SIZES),
-            "tries": list(TRIES),
+            "shape": list(mtm_lambda_shapes.SHAPES),
+            "sd": list(mtm_lambda_shapes.SIZES),
             "bin": (np.arange(config.bins) + 0.5) / config.bins,
         },
         {"level": config.level, "replicas": config.replicas},
@@ -164,46 +163,6 @@ def _clamped(config: Config, progress: Sweep) -> dict[str, Any]:
         "clamped": (("normaliser", "bin"), np.array(laws)),
         "normaliser": list(moves),
     }
-
-
-def _shapes(config: Config, seed: int, progress: Sweep) -> dict[str, Any]:
-    """Each perturbation at each size: its acceptance at the best, and the error of a histogram at equal work, exactly.
-
-    Autocorrelation: the mean over the bins of their indicators' integrated autocorrelation times, each counted by its
-    variance; the error at equal work is the root of that times the evaluations a step, independent samples' being 1.
-    """
-    shape = (len(SHAPES), len(SIZES), len(TRIES))
-    acceptance, time = np.zeros((shape[0], shape[2])), np.zeros(shape)
-    for i, k in np.ndindex(acceptance.shape):
-        steps = [list(SHAPES.values())[i](size) for size in SIZES]
-        moves = [step if TRIES[k] == 1 else MultipleTry(step, TRIES[k]) for step in steps]
-        for j, move in enumerate(moves):
-            operator = transition_operator(move, LINE, u_cells=config.cells, x_cells=1, points=config.points)
-            time[i, j, k] = _time(operator, config.bins)
-            progress("perturbations", (i * len(TRIES) + k) * len(SIZES) + j + 1, time.size)
-        chains = mcmc1d.run(
-            jax.random.key(seed),
-            moves[int(time[i, :, k].argmin())],
-            LINE,
-            steps=1,
-            chains=config.chains,
-            blocks=1,
-            estimators={"acceptance": mcmc1d.Acceptance()},
-        )
-        acceptance[i, k] = next(iter(chains.acceptance().values()))
-    work = np.array([2 * tries - 1 for tries in TRIES])
-    where = ("shape", "sd", "tries")
-    return {"rate": (("shape", "tries"), acceptance), "time": (where, time), "error": (where, np.sqrt(time * work))}
-
-
-def _time(operator: Any, bins: int) -> float:
-    """The sum of the bins' asymptotic variances over that of their variances, from the fundamental matrix."""
-    p, mu = operator.matrix.toarray(), operator.stationary()
-    inside = np.repeat(np.eye(bins), len(mu) // bins, axis=0)
-    g = inside - mu @ inside
-    variance = float(mu @ (g * g).sum(1))
-    z = np.linalg.solve(np.eye(len(mu)) - p + mu, g)
-    return 2 * float(mu @ (g * z).sum(1)) / variance - 1
 
 
 def draw(data: xr.Dataset) -> Figure:
@@ -233,31 +192,13 @@ def draw(data: xr.Dataset) -> Figure:
         )
     middle.set(xlabel="x", ylabel="law / target's law", ylim=(0.5, 1.5), title="clamped Gaussian's normaliser")
     middle.legend(fontsize=5.5, ncols=2, loc="upper center")
-    for k, shape in enumerate(data.shape.to_numpy()):
-        for tries in TRIES:
-            # One over the other, and to be seen all the same: they hardly differ, which is the finding.
-            style = {"color": f"C{k}", "linestyle": ("-", "--", ":")[k], "linewidth": (2.2, 1.4, 1.2)[k]}
-            style |= {"marker": "os^"[k], "markersize": (6, 4, 2.5)[k]}
-            here = data.error.sel(shape=shape, tries=tries)
-            right.plot(data.sd, here, label=str(shape) if tries == 1 else None, **style)
-    right.set(xlabel="standard deviation of the step", ylabel="error at equal work", yscale="log")
-    right.set_yticks([1.5, 2, 3, 4, 5], ["1.5", "2", "3", "4", "5"])
-    right.minorticks_off()
-    right.set_title("independent samples: 1", fontsize=6)
-    right.legend(fontsize=5.5)
+    mtm_lambda_shapes.draw(data, right)
     return figure
 
 
 def table(data: xr.Dataset) -> Table:
     """Each perturbation at its best size."""
-    result = Table("perturbation", "candidates", "best size", "acceptance", "autocorrelation time", "error", box=SIMPLE)
-    result.title = "mtm_lambda: perturbations, each at its best size; error of a histogram at equal work"
-    for shape in data.shape.to_numpy():
-        for tries in TRIES:
-            here = data.sel(shape=shape, tries=tries)
-            best = here.isel(sd=int(here.error.to_numpy().argmin()))
-            result.add_row(str(shape), str(tries), *(f"{float(best[n]):.3g}" for n in ("sd", "rate", "time", "error")))
-    return result
+    return mtm_lambda_shapes.table(data)
 
 
 def judge(data: xr.Dataset) -> list[Claim]:
@@ -273,151 +214,91 @@ def judge(data: xr.Dataset) -> list[Claim]:
     right = total_variation(laws["with"], exact)
     apart = max(total_variation(laws[f"without{p}"], data.predicted.to_numpy()) for p in ("", ", p = 4"))
     wrong = total_variation(data.predicted.to_numpy(), exact)
-    best = data.error.min("sd")
-    shapes = {str(s): best.sel(shape=s).to_numpy() for s in data.shape.to_numpy()}
-    rivals = np.min([shapes["uniform"], shapes["linear"]], axis=0)
-    gap = float(data.gap.max())
-    statistics = f"verify at {data.level:.0e} detects a CDF gap of {gap:.3f} at most with probability 0.99"
+    statistics = (
+        f"verify at {data.level:.0e} detects a CDF gap of {float(data.gap.max()):.3f} at most with probability 0.99"
+    )
     enumeration = "enumeration, p = 2, lopsided step; exact to 1e-12"
 
     def claim(
-        name: str, statement: str, source: str, holds: bool, expected: str, number: str, held: str, witness: str = ""
+        name: str,
+        statement: str,
+        source: str,
+        number: str,
+        holds: bool,
+        witness: str,
+        expected: str = "holds",
+        there: str = "",
+        held: str = enumeration,
     ) -> Claim:
-        """Of what is exact, and of the verification on the line where one is named."""
-        found = witnessed(holds, passes([said[witness]])) if witness else verdict(holds)
-        return Claim(f"mtm.{name}", statement, source, found, expected, number, held)
+        """Of what is known exactly, and has been verified on the line."""
+        found = witnessed(holds, passes([said[witness]]))
+        number = f"{number}; on the line{there}: {said[witness]}"
+        return Claim(f"mtm.{name}", statement, source, found, expected, number, f"{held}; {statistics}")
 
+    def kept(it: Kept) -> Claim:
+        number = f"TV {off[it.ring]:.4f}" if it.expected == "fails" else f"residual {residual[it.ring]:.1e}"
+        holds = residual[it.ring] < 1e-12
+        return claim(it.name, it.statement, it.source, number, holds, it.line, it.expected, it.there)
+
+    one = float(data.one_gap)
     return [
         claim(
             "symmetric-lambda",
             f"Multiple-try keeps the law for every symmetric lambda ({len(SYMMETRIC)} of them) with the ratio R_g",
             f"{SOURCE}, sec. 5.1; Liu, Liang, Wong 2000",
+            f"residual {symmetric:.1e}",
             symmetric < 1e-12,
-            "holds",
-            f"residual {symmetric:.1e}; on the line with stratified clamped candidates: {said['right']}",
-            f"{enumeration}; {statistics}",
             "right",
+            there=" with stratified clamped candidates",
         ),
-        claim(
-            "one-candidate",
+        Claim(
+            "mtm.one-candidate",
             "With one candidate it is Metropolis",
             f"{SOURCE}, sec. 5.1",
-            float(data.one_gap) < 1e-12,
+            verdict(one < 1e-12),
             "holds",
-            f"the matrices differ by {float(data.one_gap):.1e}",
+            f"the matrices differ by {one:.1e}",
             "enumeration, 1e-12",
         ),
         claim(
             "asymmetric-lambda",
             "R_g keeps the law with a lambda that is not symmetric",
             f"ours; {SOURCE}, sec. 5.1",
-            max(lopsided.values()) < 1e-12,
-            "fails",
             "TV "
             + ", ".join(f"{value:.4f} ({name})" for name, value in lopsided.items())
-            + f"; `check` refuses {int(data.refused)} of {len(ASYMMETRIC)}; on the line: "
-            f"{said['lambda not symmetric']}",
-            f"{enumeration}; {statistics}",
+            + f"; `check` refuses {int(data.refused)} of {len(ASYMMETRIC)}",
+            max(lopsided.values()) < 1e-12,
             "lambda not symmetric",
+            "fails",
         ),
         claim(
             "intervals",
             "With the selector's interval in the determinant any weights keep it, equal ones too",
             "Pandolfi, Bartolucci, Friel 2010",
+            f"residual {intervals:.1e}",
             intervals < 1e-12,
-            "holds",
-            f"residual {intervals:.1e}; on the line, equal weights: {said['even weights']}",
-            f"{enumeration}; {statistics}",
             "even weights",
+            there=", equal weights",
         ),
-        claim(
-            "strata-all-but-chosen",
-            "Stratified candidates, with competitors in all strata but the chosen one's, keep the law",
-            f"ours; {SOURCE}, sec. 6.2; Craiu and Lemieux 2007",
-            off["strata: all but the chosen"] < 1e-12,
-            "fails",
-            f"TV {off['strata: all but the chosen']:.4f}; on the line: {said['other strata']}",
-            f"{enumeration}; {statistics}",
-            "other strata",
-        ),
-        claim(
-            "strata-left-free",
-            "With competitors in the strata that the way back leaves free they do",
-            "ours; Craiu and Lemieux 2007",
-            residual["strata: left free"] < 1e-12,
-            "holds",
-            f"residual {residual['strata: left free']:.1e}; on the line, four clamped ones: {said['right']}",
-            f"{enumeration}; {statistics}",
-            "right",
-        ),
-        claim(
-            "quasi-random-independent",
-            "Quasi-random candidates with independent competitors keep the law",
-            f"ours; {SOURCE}, sec. 6.3; Craiu and Lemieux 2007",
-            off["quasi-random: independent"] < 1e-12,
-            "fails",
-            f"TV {off['quasi-random: independent']:.4f}; on the line: {said['fresh competitors']}",
-            f"{enumeration}; {statistics}",
-            "fresh competitors",
-        ),
-        claim(
-            "quasi-random-rotated",
-            "With competitors of the rotation that leads back they do",
-            "ours; Craiu and Lemieux 2007",
-            residual["quasi-random: rotated"] < 1e-12,
-            "holds",
-            f"residual {residual['quasi-random: rotated']:.1e}; on the line: {said['rotated']}",
-            f"{enumeration}; {statistics}",
-            "rotated",
-        ),
-        claim(
-            "antithetic-independent",
-            "Antithetic candidates, w and 1 - w, with an independent competitor keep the law",
-            "ours; Craiu and Lemieux 2007",
-            off["antithetic: independent"] < 1e-12,
-            "fails",
-            f"TV {off['antithetic: independent']:.4f}; on the line: {said['fresh opposite']}",
-            f"{enumeration}; {statistics}",
-            "fresh opposite",
-        ),
-        claim(
-            "antithetic-opposite",
-            "With the opposite of the way back as the competitor they do",
-            "ours; Craiu and Lemieux 2007",
-            residual["antithetic: opposite"] < 1e-12,
-            "holds",
-            f"residual {residual['antithetic: opposite']:.1e}; on the line: {said['antithetic']}",
-            f"{enumeration}; {statistics}",
-            "antithetic",
-        ),
+        *map(kept, CANDIDATES),
         claim(
             "clamped-without",
             "A clamped Gaussian without its normaliser keeps the law",
             f"ours; {SOURCE}, sec. 6.1",
+            f"TV {wrong:.4f}: the law is f Z, to {apart:.1e} by the operator (p = 1, 4)",
             not (wrong > 2e-3 and apart < 5e-3),
-            "fails",
-            f"TV {wrong:.4f}: the law is f Z, to {apart:.1e} by the operator (p = 1, 4); on the line: "
-            f"{said['no normaliser']}",
-            f"quadrature, sigma 0.2; {statistics}",
             "no normaliser",
+            "fails",
+            held="quadrature, sigma 0.2",
         ),
         claim(
             "clamped-with",
             "With its normaliser in the ratio it does",
             f"{SOURCE}, sec. 6.1",
+            f"TV {right:.1e} from the exact law by the operator",
             right < 2e-3,
-            "holds",
-            f"TV {right:.1e} from the exact law by the operator; on the line: {said['right']}",
-            f"TV 2e-3; {statistics}",
             "right",
+            held="TV 2e-3",
         ),
-        claim(
-            "shapes",
-            "With one candidate, Gaussian perturbations are more effective than uniform and linear ones",
-            f"ours; {SOURCE}, sec. 6.1, which speaks of many",
-            bool(np.all(shapes["Gaussian"] < 0.98 * rivals)),
-            "fails",
-            "error of a histogram at equal work: " + "; ".join(f"{name} {e[0]:.3f}" for name, e in shapes.items()),
-            "operator, at 2 % of a difference; sizes up to 0.25, on which all three are about alike",
-        ),
+        mtm_lambda_shapes.claim(data),
     ]

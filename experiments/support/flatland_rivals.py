@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.stats import sem
 
 from experiments.support.flatland_chains import METHODS, Lit, Usage, close, films, multiplexed_kernel
 from mcmc1d.chain import exact_start
@@ -112,24 +113,19 @@ class Rivals:
             rows.append(
                 {
                     "value": images[-1].mean(0),
-                    "error": _error(images[-1].T),
+                    "error": sem(images[-1]),
                     "mse": off.mean(1),
-                    "noise": _error(off.mean(-1)),
+                    "noise": sem(off.mean(-1), axis=-1),
                     "rays": each * self.steps,
                     "effective": lit.mean(),
-                    "effective_error": _error(lit),
+                    "effective_error": sem(lit, axis=-1),
                 }
             )
             if who == METHODS[0]:
                 shares, film = (part / self.steps[-1] for part in ran.sums["usage"])
-                found = {"usage": shares.mean(1), "usage_error": _error(shares), "usage_film": film / self.runs}
+                found = {"usage": shares.mean(1), "usage_error": sem(shares, axis=-1), "usage_film": film / self.runs}
         found |= {part: np.stack([row[part] for row in rows]) for part in ("effective", "effective_error")}
         return rows, found
-
-
-def _error(of_runs: np.ndarray) -> np.ndarray:
-    """The standard error of the mean over runs, the last axis."""
-    return of_runs.std(-1, ddof=1) / np.sqrt(of_runs.shape[-1])
 
 
 def contributions(

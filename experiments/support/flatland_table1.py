@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+from scipy.stats import sem
 from scipy.stats import t as student
 
 from experiments.support.framework import Claim
@@ -198,7 +199,7 @@ def _listed(found: dict[str, Ratio]) -> str:
 
 def _apart(above: np.ndarray, below: np.ndarray) -> float:
     """The difference of two means of runs, in standard errors."""
-    noise = np.hypot(above.std(ddof=1) / above.size**0.5, below.std(ddof=1) / below.size**0.5)
+    noise = np.hypot(sem(above), sem(below))
     return float((above.mean() - below.mean()) / noise)
 
 

@@ -1,6 +1,7 @@
 """Intervals of means over seeds, by Student's t."""
 
 import numpy as np
+from scipy.stats import sem
 from scipy.stats import t as student
 
 Ratio = tuple[float, float, float]
@@ -11,8 +12,7 @@ DECIDES = 1e-4
 
 def half(values: np.ndarray) -> np.ndarray:
     """Half the width of the 95 % interval of the mean, over the last axis."""
-    n = values.shape[-1]
-    return student.ppf(0.975, n - 1) * values.std(-1, ddof=1) / n**0.5
+    return student.ppf(0.975, values.shape[-1] - 1) * sem(values, axis=-1)
 
 
 def geometric(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

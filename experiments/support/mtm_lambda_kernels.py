@@ -1,5 +1,7 @@
 """The kernels that `mtm_lambda` enumerates on a ring: weights, candidates and competitors, right and wrong."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +15,8 @@ from mcmc1d.types import Index
 from mcmc1d.verify import RingStep
 from mcmc1d.verify.mutants.base import WrongMove
 
+SOURCE = "Segovia et al. 2007"
+_CRAIU = "Craiu and Lemieux 2007"
 F = (1.0, 3.0, 0.5, 2.0, 4.0, 1.5)
 CHANCES = {1: 0.5, -1: 0.25, 3: 0.25}
 """Lopsided, and with q(y given x) q(x given y) not the same for all pairs: 1 and 1/(qq) are different lambdas."""
@@ -104,3 +108,67 @@ def rings() -> dict[str, tuple[Move, list[int | None]]]:
     made["antithetic: opposite"] = MultipleTry(RING_STEP, 2, by_importance, Antithetic()), [8, None, None]
     made["antithetic: independent"] = MultipleTry(RING_STEP, 2, by_importance, fresh[1]), [4, 4, None, None]
     return made
+
+
+class Kept(NamedTuple):
+    """That a kernel keeps the law: enumerated on the ring, and verified on the line."""
+
+    name: str
+    statement: str
+    source: str
+    ring: str
+    line: str
+    """Its names there."""
+    expected: str = "holds"
+    there: str = ""
+    """In what it differs there."""
+
+
+CANDIDATES = (
+    Kept(
+        "strata-all-but-chosen",
+        "Stratified candidates, with competitors in all strata but the chosen one's, keep the law",
+        f"ours; {SOURCE}, sec. 6.2; {_CRAIU}",
+        "strata: all but the chosen",
+        "other strata",
+        "fails",
+    ),
+    Kept(
+        "strata-left-free",
+        "With competitors in the strata that the way back leaves free they do",
+        f"ours; {_CRAIU}",
+        "strata: left free",
+        "right",
+        there=", four clamped ones",
+    ),
+    Kept(
+        "quasi-random-independent",
+        "Quasi-random candidates with independent competitors keep the law",
+        f"ours; {SOURCE}, sec. 6.3; {_CRAIU}",
+        "quasi-random: independent",
+        "fresh competitors",
+        "fails",
+    ),
+    Kept(
+        "quasi-random-rotated",
+        "With competitors of the rotation that leads back they do",
+        f"ours; {_CRAIU}",
+        "quasi-random: rotated",
+        "rotated",
+    ),
+    Kept(
+        "antithetic-independent",
+        "Antithetic candidates, w and 1 - w, with an independent competitor keep the law",
+        f"ours; {_CRAIU}",
+        "antithetic: independent",
+        "fresh opposite",
+        "fails",
+    ),
+    Kept(
+        "antithetic-opposite",
+        "With the opposite of the way back as the competitor they do",
+        f"ours; {_CRAIU}",
+        "antithetic: opposite",
+        "antithetic",
+    ),
+)

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import xarray as xr
+from scipy.stats import sem
 from scipy.stats import t as student
 
 from experiments.support.framework import Claim
@@ -55,7 +56,7 @@ def measure(side: int, sizes: int, replicas: int, key: Key, progress: Sweep) -> 
     off, noise = np.zeros((2, len(METHODS), side))
     for row, method in enumerate(METHODS):
         image = render(line, method, PIXEL_SAMPLES, replicas, jax.random.fold_in(key, 200 + row), kernel).film.image()
-        off[row], noise[row] = image.mean(0) / exact - 1, image.std(0, ddof=1) / replicas**0.5 / exact
+        off[row], noise[row] = image.mean(0) / exact - 1, sem(image) / exact
         progress("pixel by pixel", row + 1, len(METHODS))
     return xr.Dataset(
         {

@@ -7,6 +7,7 @@ import emcee
 import jax
 import numpy as np
 import xarray as xr
+from scipy.stats import sem
 
 import mcmc1d
 from experiments.support.beside import both_cores
@@ -48,9 +49,9 @@ def measure(key: Key, sigma: float, steps: int, chains: int, progress: Callable[
         shares, law = np.array(counts) / np.sum(counts[0]), exact[walked] / exact[walked].sum()
         return (
             np.mean(times, axis=0),
-            np.std(times, axis=0, ddof=1) / np.sqrt(_GROUPS),
+            sem(times),
             total_variation(shares.mean(0), law),
-            expected_distance(shares.std(0, ddof=1) / np.sqrt(_GROUPS)),
+            expected_distance(sem(shares)),
         )
 
     found = both_cores(walk, range(len(WALKED) * len(MAPS)), progress)
