@@ -25,7 +25,7 @@ from mcmc1d.stages import Stage
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Target
 from mcmc1d.techniques import Technique
-from mcmc1d.types import Array, Float, Index, Key, Scalar
+from mcmc1d.types import Array, Float, Index, Int, Key, Scalar
 
 NORMALISERS = ("exact", "apart", "plugged")
 """Where b_I comes from: exact masses; independent samples of the stage's own; the image so far, as Algorithm 2 says."""
@@ -125,13 +125,13 @@ class Renderer(eqx.Module):
                 f"render: in stage {s} the importance function is NaN, infinite or negative in a region; a region "
                 "without samples has an image of zero",
             )
-            stage_key = jax.random.fold_in(key, s)
+            b_key, stage_key = jax.random.split(jax.random.fold_in(key, s))
             steps = max(1, round(stage.samples / self.chains))
             if b == "exact":
                 normaliser = (self.scene.region_masses(k, self.scene.base) * values).reshape(self.replicas, -1).sum(1)
             elif b == "apart" or film is None:
                 count = max(2, round(apart * stage.samples))
-                normaliser, work = self._apart(stage_key, values, k, count), work + count
+                normaliser, work = self._apart(b_key, values, k, count), work + count
             else:
                 image = film.image().reshape((self.replicas,) + (self.scene.pixels.side,) * dim)
                 normaliser = (resample(image, k, dim) * values).reshape(self.replicas, -1).mean(1)
@@ -177,19 +177,28 @@ class Renderer(eqx.Module):
         films, state, one, padded = [], None, _whole(1), self._padded(values)
         for k in range(count):
             keys = jax.random.split(jax.random.fold_in(key, k), self.replicas)
-            sums, _, state = _expose(keys, self.scene, self.kernel, padded, one, self.chains, _whole(steps), state)
+            sums, _, state = self._exposed(keys, padded, one, steps, state)
             films.append(Film.of(sums, np.full(self.replicas, b), steps * self.chains))
         return films
 
     def _stage(self, key: Key, values: np.ndarray, k: int, b: np.ndarray, steps: int) -> tuple[Film, np.ndarray]:
         keys = jax.random.split(key, self.replicas)
-        padded = self._padded(values)
-        sums, rate, _ = _expose(keys, self.scene, self.kernel, padded, _whole(k), self.chains, _whole(steps), None)
+        sums, rate, _ = self._exposed(keys, self._padded(values), _whole(k), steps, None)
         return Film.of(sums, b, steps * self.chains), np.asarray(rate, np.float64)
+
+    def _exposed(
+        self, keys: Array, values: Array, regions: Array, steps: int, begin: State | None
+    ) -> tuple[Float[Array, "r n 5"], Float[Array, " r"], State]:
+        sums, rate, state, faults = _expose(
+            keys, self.scene, self.kernel, values, regions, self.chains, _whole(steps), begin
+        )
+        fault = int(np.max(faults))
+        require(fault == 0, f"render: {_FAULTS.get(fault)}")
+        return sums, rate, state
 
     def _apart(self, key: Key, values: np.ndarray, k: int, count: int) -> np.ndarray:
         """The integral of I from `count` independent samples of each replica."""
-        keys = jax.random.split(jax.random.fold_in(key, 1), self.replicas)
+        keys = jax.random.split(key, self.replicas)
         size = 1 << (count - 1).bit_length()  # so that a few sizes compile
         c = np.asarray(_densities(keys, self.scene, self._padded(values), _whole(k), size), np.float64)[:, :count]
         require(bool(np.isfinite(c).all()), "render: the importance function is not finite somewhere")
@@ -201,6 +210,16 @@ class Renderer(eqx.Module):
         require(extra >= 0, f"render: a stage has {values.shape[-1]} regions a side, more than the image has pixels")
         pad = [(0, 0)] + [(0, extra)] * self.scene.pixels.dim
         return jnp.asarray(np.pad(values, pad, constant_values=1.0), jnp.float32)
+
+
+_ATTEMPTS = 2**18
+"""Candidates for each exact start, at most."""
+_NOT_FINITE, _TOO_NARROW = 1, 2
+_FAULTS = {
+    _NOT_FINITE: "the importance function's density is NaN or infinite somewhere: rejection needs a bounded one",
+    _TOO_NARROW: f"no exact starts among {_ATTEMPTS} candidates for each: the importance function has a narrow peak; "
+    "give techniques that follow it",
+}
 
 
 def _whole(number: int) -> Array:
@@ -218,17 +237,18 @@ def _expose(
     chains: int,
     steps: Array,
     begin: State | None,
-) -> tuple[Float[Array, "r n 5"], Float[Array, " r"], State]:
-    """`steps` steps of the chains of every replica: the film's sums, the mean acceptance, the last states.
+) -> tuple[Float[Array, "r n 5"], Float[Array, " r"], State, Int[Array, " r"]]:
+    """`steps` steps of the chains of every replica: the film's sums, the mean acceptance, the last states, the faults.
 
     From exact starts, unless states to begin with are given.
     """
 
-    def one(key: Key, values: Array, begin: State | None) -> tuple[Array, Array, State]:
+    def one(key: Key, values: Array, begin: State | None) -> tuple[Array, Array, State, Array]:
         importance, target = scene.multiplexed(values, regions)
         estimator = Image(scene.f, importance, scene.pixels)
         start_key, step_key = jax.random.split(key)
-        state = _exact_starts(start_key, target, chains) if begin is None else begin
+        found = _exact_starts(start_key, target, chains) if begin is None else (begin, jnp.zeros((), jnp.int32))
+        state, fault = found
 
         def body(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
             state, sums, accepted = carry
@@ -239,15 +259,16 @@ def _expose(
         zero = jnp.zeros((scene.pixels.count, 5), jnp.float32)
         begun = jax.vmap(target.evaluate, out_axes=-1)(state)
         last, sums, accepted = jax.lax.fori_loop(0, steps, body, (begun, zero, jnp.zeros(())))
-        return sums, accepted / steps, State(last.index, last.u.T)
+        return sums, accepted / steps, State(last.index, last.u.T), fault
 
     return jax.vmap(one)(keys, values, begin)
 
 
-def _exact_starts(key: Key, target: Multiplexed, chains: int) -> State:
+def _exact_starts(key: Key, target: Multiplexed, chains: int) -> tuple[State, Int[Array, ""]]:
     """Exact draws by rejection, as `starts.exact_start`: under the largest density of a grid with a quarter to spare.
 
-    Should a candidate exceed that, the bound is raised and everything is drawn again.
+    Should a candidate exceed that, the bound is raised and everything is drawn again. Also what is at fault, of
+    `_FAULTS`, or 0.
     """
     probes = 1024 if target.dim_u == 1 else 4096
     grid = jnp.asarray(midpoints(np.zeros(target.dim_u), np.ones(target.dim_u), probes), jnp.float32)
@@ -258,8 +279,12 @@ def _exact_starts(key: Key, target: Multiplexed, chains: int) -> State:
     everywhere = [jax.vmap(partial(log_c, jnp.asarray(i, jnp.int32)))(grid).max() for i in range(target.n_techniques)]
     bound = jnp.max(jnp.stack(everywhere)) + jnp.log(1.25)
 
-    def draw(carry: tuple[Array, State, Array, Array]) -> tuple[Array, State, Array, Array]:
-        attempt, state, done, bound = carry
+    def unfinished(carry: tuple[Array, State, Array, Array, Array]) -> Array:
+        attempt, _, done, _, finite = carry
+        return ~jnp.all(done) & finite & (attempt < _ATTEMPTS)
+
+    def draw(carry: tuple[Array, State, Array, Array, Array]) -> tuple[Array, State, Array, Array, Array]:
+        attempt, state, done, bound, finite = carry
         w = uniforms(key, attempt, (target.dim_u + 2, chains), jnp.float32)
         fresh = State(stratum(w[0], target.n_techniques), w[2:].T)
         density = jax.vmap(log_c)(fresh.index, fresh.u)
@@ -267,11 +292,14 @@ def _exact_starts(key: Key, target: Multiplexed, chains: int) -> State:
         exceeded = density.max() > bound
         state = State(jnp.where(kept, fresh.index, state.index), jnp.where(kept[:, None], fresh.u, state.u))
         bound = jnp.where(exceeded, density.max() + jnp.log(1.25), bound)
-        return attempt + 1, state, (done | kept) & ~exceeded, bound
+        finite = finite & jnp.all(density < jnp.inf)  # which a NaN is not
+        return attempt + 1, state, (done | kept) & ~exceeded, bound, finite
 
     nothing = State(jnp.zeros(chains, jnp.int32), jnp.zeros((chains, target.dim_u)))
-    start = (jnp.zeros((), jnp.int32), nothing, jnp.zeros(chains, bool), bound)
-    return jax.lax.while_loop(lambda carry: ~jnp.all(carry[2]), draw, start)[1]
+    start = (jnp.zeros((), jnp.int32), nothing, jnp.zeros(chains, bool), bound, bound < jnp.inf)
+    _, state, done, _, finite = jax.lax.while_loop(unfinished, draw, start)
+    narrow = jnp.where(jnp.all(done), 0, _TOO_NARROW)
+    return state, jnp.where(finite, narrow, _NOT_FINITE).astype(jnp.int32)
 
 
 @eqx.filter_jit

@@ -1,17 +1,19 @@
 """Stages, the noise target, energy redistribution; each statistical test beside what must fail it."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
+from mcmc1d import rendering
 from mcmc1d.moves import LargeStep, Mixture, SmallStep
 from mcmc1d.perception import bilateral, density_statistics, noise_target, tvi, visual_error
 from mcmc1d.pixels import Pixels
 from mcmc1d.redistribution import energy_redistribution, independent
 from mcmc1d.rendering import Renderer, Scene
 from mcmc1d.stages import MultiStage, NoiseAware, Stage, plan
-from mcmc1d.targets import Sinusoid
+from mcmc1d.targets import FromFunction, Sinusoid
 from mcmc1d.techniques import Tent, Uniform
 
 SCENE = Scene(Sinusoid(0.8, 2.0, 0.1), (Uniform(), Tent()), Pixels(8))
@@ -144,3 +146,36 @@ def test_an_importance_that_can_not_be_sampled_is_refused(value, message):
     """It was drawn from for ever: no candidate is ever kept, and none exceeds the bound."""
     with pytest.raises(ValueError, match=f"in stage 0.*{message}|{message}.*in stage 0"):
         RENDERER.render(jax.random.key(0), [Stage(2, 64)], lambda film, k: np.array([[value, value]]))
+
+
+@pytest.mark.parametrize(
+    ("f", "message"),
+    [
+        # The height of the peak lies on the grid of the bound, and nearly no candidate ever falls on it.
+        (lambda x: jnp.where(jnp.abs(x - 512.5 / 1024) < 1e-7, 1e7, 1e-3), "262144 candidates for each.* narrow peak"),
+        # Between the probes of Multiplexed.
+        (lambda x: jnp.where(jnp.abs(x - 252 / 2048) < 1e-4, jnp.nan, 1.0), "NaN or infinite somewhere"),
+    ],
+)
+def test_starts_that_can_not_be_drawn_are_refused(f, message):
+    scene = Scene(FromFunction(f, breaks=(512.5 / 1024 - 1e-7, 512.5 / 1024 + 1e-7)), Uniform(), Pixels(8))
+    with pytest.raises(ValueError, match=message):
+        Renderer(scene, SmallStep(0.1), 2, 4096).plain(jax.random.key(0), 4096)
+
+
+def test_no_key_serves_twice(monkeypatch):
+    """The k-th part of a split is the key folded with k: b's samples were a neighbouring replica's starts."""
+    used = []
+
+    def noted(function, split):
+        def call(keys, *rest):
+            each = [jax.random.split(key) for key in keys] if split else [keys]  # as a film splits its own
+            used.extend(map(bytes, np.asarray(jax.random.key_data(jnp.concatenate(each)))))
+            return function(keys, *rest)
+
+        return call
+
+    for name, split in (("_densities", False), ("_expose", True)):
+        monkeypatch.setattr(rendering, name, noted(getattr(rendering, name), split))
+    RENDERER.render(jax.random.key(0), plan(4, 2**10), MultiStage(SCENE.pixels), "apart")
+    assert len(used) == len(set(used)) > 3 * REPLICAS
