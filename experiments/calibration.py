@@ -77,7 +77,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     )
 
 
-def _excess(values: np.ndarray, confidence: float) -> float:
+def _excess(values: np.ndarray) -> float:
     """The smallest binomial p-value, over thresholds, that so many p-values lie at or under one; times their number."""
     thresholds = 10.0 ** -np.arange(0.25, 4.01, 0.25)
     counts = np.array([(values <= t).sum() for t in thresholds])
@@ -125,9 +125,9 @@ def table(data: xr.Dataset) -> Table:
 def judge(data: xr.Dataset) -> list[Claim]:
     """The p-values are super-uniform, and the scheme keeps its level."""
     n, confidence = data.sizes["run"], float(data.confidence)
-    excess = {"first stage": _excess(data.p_value.to_numpy(), confidence)}
+    excess = {"first stage": _excess(data.p_value.to_numpy())}
     for layer in data.layer.to_numpy():
-        excess[str(layer)] = _excess(data.layer_p_value.sel(layer=layer).to_numpy(), confidence)
+        excess[str(layer)] = _excess(data.layer_p_value.sel(layer=layer).to_numpy())
     worst = min(excess, key=lambda name: excess[name])
     alarms, runs, level = int(data.alarms), int(data.runs_at_level), float(data.level)
     most = int(binom.ppf(confidence, runs, level))

@@ -311,9 +311,17 @@ def judge(data: xr.Dataset) -> list[Claim]:
         f"{SOURCE}, sec. 6",
         (loss < 1e-9 or not str(data.refused.to_numpy()),),
         "fails",
-        f"positive where a density is zero: {loss:.2%} of b lost, x off by TV {shift:.3f}; the operator's law is "
-        f"that to {found:.1e}",
-        f"quadrature; TV {2 * noise['lost']:.1e}; Multiplexed refuses such weights",
+        f"positive where a density is zero: {loss:.2%} of b lost, x off by TV {shift:.3f}",
+        "quadrature; Multiplexed refuses such weights",
+    )
+    claim(
+        "partition-lost",
+        "With weights that are positive where their technique's density is zero, the law is that of what is left of f",
+        f"ours; {SOURCE}, sec. 6",
+        (near(found, noise["lost"]),),
+        "holds",
+        f"operator's TV of (i, x) {found:.1e}",
+        f"TV {2 * noise['lost']:.1e}, twice the net's noise, open to four times",
     )
     claim(
         "partition-repair",

@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_key, require_whole
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Proposal
-from mcmc1d.numerics import normal_quantile, parameter, require, require_positive, wrap
+from mcmc1d.numerics import is_concrete, normal_quantile, parameter, require, require_positive, wrap
 from mcmc1d.state import Eval, State
 from mcmc1d.types import Array, Bool, Float, Index, Int, Key, Scalar
 
@@ -81,7 +82,10 @@ class LazySampler(eqx.Module):
         """`dims`: the most numbers that are read from one stream; `large_step`: the probability of a large step."""
         require(dims >= 1 and streams >= 1, f"LazySampler: dims and streams are 1 or more, not {dims} and {streams}")
         require(replay in ("apart", "merged"), f'LazySampler: replay must be "apart" or "merged", not {replay!r}')
-        require(0 <= large_step <= 1, f"LazySampler: large_step is a probability, not {large_step}")
+        require(
+            not is_concrete(large_step) or 0 <= large_step <= 1,
+            f"LazySampler: large_step is a probability, not {large_step}",
+        )
         self.dims, self.streams, self.replay = dims, streams, replay
         self.sigma, self.large_step = parameter(sigma), parameter(large_step)
         require_positive(self, sigma=self.sigma)
@@ -224,7 +228,7 @@ def step(
 
 
 def bootstrap(
-    sampler: LazySampler, contribution: Contribution, key: Key, chains: int, candidates: int
+    key: Key, sampler: LazySampler, contribution: Contribution, *, chains: int, candidates: int
 ) -> tuple[LazyChain, float]:
     """(chains, b): starts drawn among independent candidates in proportion to f, and the candidates' mean of f.
 
@@ -232,7 +236,9 @@ def bootstrap(
     16.4.5; Veach and Guibas 1997); times another estimate of b, or the true one, it is biased by O(1 / candidates).
     Raises `ValueError` where f is zero at every candidate, or not a number at one.
     """
-    require(chains >= 1 and candidates >= 1, f"bootstrap: one chain and one candidate at least: {chains}, {candidates}")
+    require_key(key, "bootstrap")
+    require_whole(chains, "bootstrap: chains")
+    require_whole(candidates, "bootstrap: candidates")
     first, second = jax.random.split(key)
     w = jax.random.uniform(first, (candidates, 4 * sampler.size))
     starts = eqx.filter_jit(jax.vmap(lambda numbers: start(sampler, contribution, numbers)))(w)

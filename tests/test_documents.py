@@ -107,3 +107,9 @@ def test_readme_shows_the_claims_of_the_committed_figures():
         pytest.fail("figures/ has no results: run `make reproduce` and commit them")
     lines = framework.markdown(framework.read_claims(ROOT / "figures"), framework.origins(ROOT / "figures"))
     assert "\n".join(lines) in (ROOT / "README.md").read_text()
+
+
+def test_the_house_names_every_module():
+    house = (ROOT / "README.md").read_text().partition("## The house")[2]
+    parts = (path.name + "/" * path.is_dir() for path in (ROOT / "mcmc1d").iterdir() if not path.name.startswith("_"))
+    assert [part for part in parts if not re.search(rf"(?<!\w){re.escape(part)}", house)] == []

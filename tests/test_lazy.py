@@ -131,7 +131,7 @@ def test_mistakes_lose_it(sampler, zeros):
 
 def test_bootstrap_chooses_by_contribution():
     """G's quarters and the mean of f, 1, within five standard errors: a right one fails once in 1e5 runs."""
-    chains, b = lazy.bootstrap(LazySampler(3), product, jax.random.key(0), 2**12, 2**14)
+    chains, b = lazy.bootstrap(jax.random.key(0), LazySampler(3), product, chains=2**12, candidates=2**14)
     assert abs(b - 1) < 5 * np.sqrt(np.mean(G**2) ** 2 / 2**14)
     second = np.asarray(chains.sample[:, 1])
     share = np.histogram(second[second >= 0], 4, (0, 1))[0] / np.sum(second >= 0)
@@ -157,7 +157,10 @@ def dark(sampler, state):
         (lambda: LazySampler(1, large_step=1.5), "a probability"),
         (lambda: LazySampler(1, sigma=0.0), "sigma must be positive"),
         (lambda: LazySampler(1, replay="late"), '"apart" or "merged"'),
-        (lambda: lazy.bootstrap(LazySampler(1), dark, jax.random.key(0), 4, 64), "zero at all of 64 candidates"),
+        (
+            lambda: lazy.bootstrap(jax.random.key(0), LazySampler(1), dark, chains=4, candidates=64),
+            "zero at all of 64 candidates",
+        ),
         (lambda: lazy.chain_lengths(5, 0), "can not be shared"),
         (lambda: LazySampler(1, streams=2).start_stream(LazySampler(1).init(jnp.zeros(4)), 2), "no stream 2"),
     ],

@@ -30,8 +30,9 @@ def expected_distance(error: np.ndarray) -> float:
 def near(distance: float, noise: float) -> bool | None:
     """Whether a law is another up to noise that makes such a distance on average: within twice; None up to four times.
 
-    Of ten bins or more, and noise known from two nets alone, four times come by chance in 1e-5 of the cases, twice in a
-    few in a hundred.
+    Of ten bins with independent errors, and noise known from two nets alone, four times come by chance in 2e-4 of the
+    cases, twice in three of a hundred; where fewer errors are independent, more often. The nets are the same whatever
+    the seed, so that a verdict does not change.
     """
     return True if distance < 2 * noise else None if distance < 4 * noise else False
 

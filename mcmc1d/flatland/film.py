@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import Run
-from mcmc1d.estimators import Estimator
+from mcmc1d.estimators import Estimator, add_deposits
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Light, Paths
@@ -48,9 +48,8 @@ class Exposure(Estimator):
         return jnp.zeros(self.paths.sensor.pixels, dtype)
 
     def update(self, sums: Float[Array, " n"], steps: Step) -> Float[Array, " n"]:
-        paths = cast(self.paths, sums.dtype)
-        pixels = jax.vmap(jax.vmap(paths.pixel, in_axes=-1))(steps.deposits.x)
-        return sums.at[pixels].add(steps.deposits.weight, mode="promise_in_bounds")
+        pixel = jax.vmap(cast(self.paths, sums.dtype).pixel, in_axes=-1)
+        return add_deposits(sums, steps.deposits, pixel, joint=False)
 
 
 def picture(run: Run, name: str, b: float) -> Picture:

@@ -40,7 +40,8 @@ def verify(
 
     Independent replicas start exactly from the law and are tested after each of `steps` steps: no burn-in, no
     autocorrelation, p-values that hold far in the tail. Sequential after Gandy and Scott (see `Scheme`); never
-    repeated on failure. The same seed and `replicas` give the same report.
+    repeated on failure. The same seed and `replicas` give the same report, unless the walk from bad starts is cut
+    short, by time: then INCONCLUSIVE may be PASS on a faster machine.
 
     Args:
         kernel: a move or kernel of this library (`target` a `Multiplexed`); a JAX function `step(key, position)` that

@@ -13,13 +13,16 @@ class Scheme:
     At stage j, with p the combined p-value of m tests: p <= beta_j fails; p > gamma + beta_j passes; between the two,
     fresh draws and beta_(j+1) = beta_j / gamma; the last stage passes. beta_1 = rest / stages and gamma = beta_1 **
     (1 / stages), so that each stage adds beta_1 to the false-alarm rate. Before the first stage ends, a sixteenth of
-    its replicas are looked at: they can only fail, at a tenth of the level, so that gross errors are found at once.
+    its replicas are looked at: they can only fail, at a small share of the level, so that gross errors are found at
+    once. A smaller one still is for the question whether each coordinate moves.
     """
 
     level: float = 1e-5
     stages: int = 4
-    look: float = 0.1
+    look: float = 0.09
     """The share of the level that is spent on the early look."""
+    motion: float = 0.01
+    """The share of the level at which a coordinate that no replica has moved fails."""
 
     def __post_init__(self):
         require(0 < self.level < 0.5, f"the level must lie between 0 and 0.5, not at {self.level}")
@@ -33,7 +36,7 @@ class Scheme:
     @property
     def first(self) -> float:
         """beta_1, what a failure at the first stage needs."""
-        return self.level * (1 - self.look) / self.stages
+        return self.level * (1 - self.look - self.motion) / self.stages
 
     @property
     def gamma(self) -> float:

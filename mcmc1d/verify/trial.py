@@ -149,8 +149,10 @@ class Trial:
             if ergodic:
                 self.forget()
             return
-        # Few replicas of a kernel that seldom moves may all stay; so do many of one that next to never does.
-        few = self.deciding.n * np.log1p(-_RATE) > np.log(self.scheme.level)
+        # Few replicas of a kernel that seldom moves may all stay, in any coordinate; so do many of one that next to
+        # never does.
+        chance = self.scheme.level * self.scheme.motion / len(coordinates(self.unlikely))
+        few = self.deciding.n * np.log1p(-_RATE) > np.log(chance)
         (self.inconclusive if few else self.reasons).append(still)
 
     def _gather(self, stage: int, n: int) -> Tally:

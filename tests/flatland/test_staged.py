@@ -55,6 +55,10 @@ def test_a_shader_is_divided_out(exact):
     stage = next(method.staged(jax.random.key(5), BOX, 2, 2**19))
     undivided = 4 * stage.b * stage.film.density[0] / stage.samples
     assert np.abs(undivided / exact[0][0] - 1).max() > 0.5
+    # A pixel's light comes by the floor or does not: f / p is the same for all its samples, as Cauchy and Schwarz say.
+    film = stage.film
+    assert np.ptp(film.value / film.density) > 8 * (film.value / film.density).min()
+    np.testing.assert_allclose(film.contribution * film.density, film.value**2, rtol=1e-5)
 
 
 def test_starts_have_the_law_of_each_row(exact):

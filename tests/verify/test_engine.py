@@ -198,6 +198,14 @@ def test_no_numbers_are_shared_by_starts_and_steps():
     assert max(abs(r) for r in seen if np.isfinite(r)) < 0.3
 
 
+@pytest.mark.parametrize(("replicas", "verdict"), [(1280, Verdict.INCONCLUSIVE), (2048, Verdict.FAIL)])
+def test_what_few_replicas_have_not_moved_may_move(replicas, verdict):
+    """In any of two coordinates that move in 1 of 100: 0.99^1280 = 3e-6 each, 0.99^2048 = 1e-9, a hundredth of 1e-5."""
+    report = verify.verify(lambda key, x: x.at[0].set(jax.random.normal(key)), laws.normal(2), replicas=replicas)
+    assert report.verdict is verdict
+    assert "never moves x[1]" in str(report)
+
+
 def test_false_alarms_of_the_sequential_scheme():
     """20,000 runs on uniform p-values at level 0.2: more than 5 standard deviations over has probability 3e-7.
 

@@ -21,7 +21,7 @@ from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
-ROWS = ("density", "value", "squares", "area")
+ROWS = ("density", "value", "squares", "area", "contribution")
 _STEPS = 2**9
 """Between drains of the sums into float64."""
 _CANDIDATES = 2**13
@@ -34,17 +34,18 @@ class Moments(Estimator):
     """Sums of each chain in each pixel, (rows, pixels, chains), for an I that is f times a number and a shader s.
 
     The deposits' weights (the sample density); the same over s; C / s^2, and 1 / C, of the state after each step, C
-    being the density of the state. The number in each pixel is left out: whoever knows it divides.
+    being the density of the state; the deposits' weights over s^2. The number in each pixel is left out: whoever knows
+    it divides.
     """
 
     paths: Paths
     chains: int = eqx.field(static=True)
     shader: Shader | None = None
 
-    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "4 n c"]:
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "5 n c"]:
         return jnp.zeros((len(ROWS), self.paths.sensor.pixels, self.chains), dtype)
 
-    def update(self, sums: Float[Array, "4 n c"], steps: Step) -> Float[Array, "4 n c"]:
+    def update(self, sums: Float[Array, "5 n c"], steps: Step) -> Float[Array, "5 n c"]:
         film, seen, deposits = EachChain(self.paths, self.chains), steps.state.seen, steps.deposits
         moved, here = deposits.x, seen.x[None]
         log_s, log_here = self._log_shader(moved), self._log_shader(here)
@@ -55,6 +56,7 @@ class Moments(Estimator):
             (moved, deposits.weight * jnp.exp(-log_s)),
             (here, jnp.exp(seen.log_c[None] - 2 * log_here)),
             (here, per),
+            (moved, deposits.weight * jnp.exp(-2 * log_s)),
         )
 
         def added(k: int, x: Array, weight: Array) -> Array:
@@ -111,7 +113,7 @@ def _exposed(
     state: State,
     first: Int[Array, ""],
     count: Int[Array, ""],
-) -> tuple[State, Float[Array, "4 n c"], Float[Array, " c"]]:
+) -> tuple[State, Float[Array, "5 n c"], Float[Array, " c"]]:
     dtype = jnp.zeros(()).dtype
     kernel, target, film, values = cast((kernel, target, film, values), dtype)
 

@@ -32,7 +32,7 @@ class PathTracing(Integrator):
         return multiplexed(paths, (*joined, k + 1), self.weights)
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
-        return independent(self, key, scene, edges, samples, brightest(scene, edges))
+        return independent(key, self, scene, edges, samples, brightest(scene, edges))
 
 
 class LightTracing(Integrator):
@@ -60,7 +60,7 @@ class LightTracing(Integrator):
         return multiplexed(paths, (1,) if paths.sensor.places == 0 else (0, 1), Balance())
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
-        return independent(self, key, scene, edges, samples, brightest_from_lamps(scene, edges))
+        return independent(key, self, scene, edges, samples, brightest_from_lamps(scene, edges))
 
 
 class BidirectionalPathTracing(Integrator):
@@ -72,10 +72,10 @@ class BidirectionalPathTracing(Integrator):
         return multiplexed(paths, None, self.weights)
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
-        return independent(self, key, scene, edges, samples, brightest(scene, edges))
+        return independent(key, self, scene, edges, samples, brightest(scene, edges))
 
 
-def independent(integrator: Integrator, key: Key, scene: Scene, edges: int, samples: int, most: float) -> Layer:
+def independent(key: Key, integrator: Integrator, scene: Scene, edges: int, samples: int, most: float) -> Layer:
     """`most`: what f / (the sum of the p_i) never exceeds; w_i f / p_i does not either, for each of the weights."""
     paths = Paths(scene, edges)
     target = integrator.target(paths)

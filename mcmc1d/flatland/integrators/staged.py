@@ -172,8 +172,8 @@ class StagedMLT(Integrator):
 
     def _film(self, sums: np.ndarray, values: np.ndarray, b: np.ndarray, samples: int, techniques: int) -> Film:
         """Of the sums of `Moments`, (replicas, rows, pixels)."""
-        density, value, squares, area = np.moveaxis(sums, 1, 0)
-        rows = density, value / values, techniques * squares / values**2, area / techniques, value / values**2
+        density, value, squares, area, contribution = np.moveaxis(sums, 1, 0)
+        rows = density, value / values, techniques * squares / values**2, area / techniques, contribution / values**2
         return Film.of(np.stack(rows, -1), b, samples)
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Stacked:

@@ -108,7 +108,7 @@ class Wrong(Integrator):
         return Multiplexed(right.target, Tampered(right.family, self.powers), right.weights, probes=0)
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
-        return independent(self, key, scene, edges, samples, brightest(scene, edges))
+        return independent(key, self, scene, edges, samples, brightest(scene, edges))
 
 
 class Rescaled(Integrator):
