@@ -144,7 +144,9 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             reports.append(verify(kernel, own, seed=seed, replicas=config.replicas, name=name))
             progress("verification", len(reports), 3)
     apart = lengths(jax.random.fold_in(jax.random.key(seed), 9), edges, config.work, config.repeats)
-    progress("lengths", 1, 1)
+    progress("lengths", 1, 2)
+    normalisers = mmlt_usage_lengths.normalisers(jax.random.fold_in(jax.random.key(seed), 10), edges, config.repeats)
+    progress("lengths", 2, 2)
     return xr.Dataset(
         {
             "masses": ("bin", masses),
@@ -163,6 +165,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "gap": ("verified", [report.gap for report in reports]),
             "ring": ("combine", [_on_a_ring(combine) for combine in ("sum", "maximum")]),
             **apart,
+            **normalisers,
         },
         {
             "bin": (edges[1:] + edges[:-1]) / 2,
@@ -222,11 +225,12 @@ def draw(data: xr.Dataset) -> Figure:
         middle.annotate(f"{ratio:.1%}", (k, 100 * ratio), ha="center", va="bottom", fontsize=6)
     middle.set_xticks(np.arange(4), ["MMLT", "MMLT\nany index", "PSSMLT\nsum", "PSSMLT\nmax"], fontsize=6)
     middle.set(ylabel="effective path ratio (%)", ylim=(0, 118 * float(data.ratio.max())))
+    error = np.exp(np.log(data.image_error).mean("repeat"))
     for name, mark in (("at the start", "s--"), ("progressively", "o-")):
-        right.plot(data.samples, 100 * data.b_error.sel(estimate=name), mark, markersize=3, label=name)
-    right.set(xscale="log", yscale="log", xlabel="samples of each length", ylabel="RMS error of b (%)")
-    right.set_yticks([0.3, 1, 3], ["0.3", "1", "3"])
-    right.set_ylim(0.6 * 100 * float(data.b_error.min()), 1.6 * 100 * float(data.b_error.max()))
+        right.plot(data.samples, 100 * error.sel(estimate=name), mark, markersize=3, label=name)
+    right.set(xscale="log", yscale="log", xlabel="steps of each length", ylabel="RMS error of the image (%)")
+    right.set_yticks([2, 5, 10, 20, 50], ["2", "5", "10", "20", "50"])
+    right.set_ylim(60 * float(error.min()), 160 * float(error.max()))
     right.minorticks_off()
     right.legend(title="$b_k$ estimated", title_fontsize=6, loc="lower left")
     return figure
