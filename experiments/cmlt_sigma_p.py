@@ -14,12 +14,12 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
+from experiments.support.each_chain import EachHistogram
 from experiments.support.framework import Claim
 from experiments.support.intervals import under
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import verdict
-from mcmc1d.estimators import Estimator
 from mcmc1d.metropolis import Kernel, Metropolis, Step, acceptance
 from mcmc1d.moves import LargeStep, Move, MultipleTry, SmallStep, Stratified
 from mcmc1d.moves.multiple_try import around, row
@@ -163,29 +163,15 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     )
 
 
-class ChainHistograms(Estimator):
-    """The deposits' weight in equal bins of [0, 1], for each chain by itself: sums of shape (chains, bins)."""
-
-    chains: int = eqx.field(static=True)
-    bins: int = eqx.field(static=True)
-
-    def init(self, target: mcmc1d.Multiplexed, kernel: Kernel, dtype: Any) -> jax.Array:
-        return jnp.zeros((self.chains, self.bins), dtype)
-
-    def update(self, sums: jax.Array, steps: Step) -> jax.Array:
-        deposits = steps.deposits
-        place = jnp.clip((deposits.x * self.bins).astype(jnp.int32), 0, self.bins - 1)
-        return sums.at[jnp.broadcast_to(jnp.arange(self.chains), place.shape), place].add(deposits.weight)
-
-
 def _error(
     name: str, config: Config, kernel: Kernel, target: mcmc1d.Multiplexed, evaluations: int, key: jax.Array
 ) -> tuple[float, float]:
     """The root mean square error of one chain's histogram over that of independent samples, and its standard error."""
-    masses = target.target.bin_masses(np.linspace(0, 1, config.bins + 1))
+    edges = np.linspace(0, 1, config.bins + 1)
+    masses = target.target.bin_masses(edges)
     exact = masses / masses.sum()
     steps = config.work // evaluations
-    estimators = {"x": ChainHistograms(config.chains, config.bins)}
+    estimators = {"x": EachHistogram(edges, config.chains)}
     size: dict[str, Any] = {"steps": steps, "chains": config.chains, "blocks": 1}
     sums = long_run(name, key, kernel, target, **size, estimators=estimators).sums["x"][0]
     square = ((sums / steps - exact) ** 2).sum(1) * (steps * evaluations) / (1 - (exact**2).sum())

@@ -20,8 +20,8 @@ from experiments.support.roofline import operations, roof
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import INTEGRATORS, Integrator
-from mcmc1d.flatland.integrators.base import exposed
 from mcmc1d.flatland.integrators.chains import EachChain, Metropolised
+from mcmc1d.flatland.sampling import exposed
 from mcmc1d.flatland.scenes import scene
 from mcmc1d.numerics import cast, stratum
 from mcmc1d.random import uniforms

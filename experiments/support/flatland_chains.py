@@ -12,6 +12,7 @@ from scipy.special import ndtr
 from experiments.support.long import long_run
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
+from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.metropolis import Kernel, Metropolis, Step
 from mcmc1d.moves import AimedJump, LargeStep, Mixture, ReversibleJump, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.state import Multiplexed, State
@@ -85,23 +86,6 @@ def mixed_kernel(sigma: float, mix: Mapping[str, float], matrix: np.ndarray) -> 
     return Metropolis(Mixture(mixed, seldom=("jump", "aimed")))
 
 
-class Film(Estimator):
-    """The deposits of each chain in each pixel, (pixels, chains)."""
-
-    paths: Paths
-    chains: int = eqx.field(static=True)
-
-    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "n c"]:
-        return jnp.zeros((self.paths.sensor.pixels, self.chains), dtype)
-
-    def update(self, sums: Float[Array, "n c"], steps: Step) -> Float[Array, "n c"]:
-        pixel, weight = _pixels(self.paths, steps), steps.deposits.weight
-        row = jnp.arange(self.paths.sensor.pixels)[:, None]
-        for k in range(weight.shape[0]):  # by comparison: a scatter of one deposit a chain would be slower
-            sums = sums + jnp.where(pixel[k][None] == row, weight[k][None], 0)
-        return sums
-
-
 def _pixels(paths: Paths, steps: Step) -> Array:
     """The pixel of each deposit of each chain, by one program however many there are."""
     return jax.vmap(jax.vmap(paths.pixel, in_axes=-1))(steps.deposits.x)
@@ -168,7 +152,7 @@ def films(
 
     `name`: as that of a `long_run`.
     """
-    asked = {"film": Film(paths, chains), **estimators}
+    asked = {"film": EachChain(paths, chains), **estimators}
     total, others, seen, done = 0, {}, [], 0
     kinds: tuple[str, ...] = ()
     for k, steps in enumerate(checkpoints):

@@ -14,7 +14,7 @@ from mcmc1d.chain import exact_start
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT
-from mcmc1d.flatland.integrators.image import Sums
+from mcmc1d.flatland.sampling import Sums
 from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,11 +9,11 @@ import xarray as xr
 from scipy.stats import sem
 
 import mcmc1d
+from experiments.support.each_chain import EachHistogram
 from experiments.support.framework import Claim
 from experiments.support.intervals import DECIDES, over, ratio, shown, under
 from experiments.support.verdict import verdict
-from mcmc1d.estimators import Estimator
-from mcmc1d.metropolis import Kernel, Step
+from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import LargeStep, Mixture, Move, SmallStep, StepAndChange
 from mcmc1d.state import Multiplexed
 from mcmc1d.targets import FromFunction, Target
@@ -38,27 +37,11 @@ MISSES = 1024
 """How many times b_k is estimated by the first two, to see how often it is zero."""
 
 
-class Apart(Estimator):
-    """The deposits' weight in each bin of a scalar x, for each of `count` chains by itself: sums (count, bins)."""
-
-    edges: np.ndarray
-    count: int = eqx.field(static=True)
-
-    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> jax.Array:
-        return jnp.zeros((self.count, len(self.edges) - 1), dtype)
-
-    def update(self, sums: jax.Array, steps: Step) -> jax.Array:
-        x, weight = steps.deposits.x, steps.deposits.weight
-        edges = jnp.asarray(self.edges, x.dtype)
-        cell = jnp.clip(jnp.searchsorted(edges, x, side="right") - 1, 0, sums.shape[1] - 1)
-        return sums.at[jnp.broadcast_to(jnp.arange(self.count), cell.shape), cell].add(weight)
-
-
 def histograms(
     key: jax.Array, kernel: Kernel | Move, target: Multiplexed, edges: np.ndarray, steps: int, repeats: int
 ) -> np.ndarray:
     """The histogram of each of many short chains by itself, (repeats, bins)."""
-    apart = {"x": Apart(edges, repeats)}
+    apart = {"x": EachHistogram(edges, repeats)}
     found = mcmc1d.run(key, kernel, target, steps=steps, chains=repeats, blocks=1, estimators=apart)
     return found.sums["x"][0] / steps
 

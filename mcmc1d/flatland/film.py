@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,14 +11,12 @@ from mcmc1d.estimators import Estimator, add_deposits
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Light, Paths
+from mcmc1d.flatland.sampling import exposed
 from mcmc1d.metropolis import Kernel, Step
-from mcmc1d.numerics import cast, require, stratum
+from mcmc1d.numerics import cast, require
 from mcmc1d.pooled import Pooled
-from mcmc1d.random import uniforms
-from mcmc1d.state import Multiplexed, State
+from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Float, Key
-
-_BATCH = 2**14
 
 
 class Picture(NamedTuple):
@@ -59,34 +56,17 @@ def picture(run: Run, name: str, b: float) -> Picture:
 
 
 def independent(key: Key, target: Multiplexed, samples: int) -> Picture:
-    """Monte Carlo with `target`'s techniques and weights: as many independent samples (i, u) of its states.
+    """Monte Carlo with `target`'s techniques and weights: independent samples (i, u) of its states.
 
     Bidirectional path tracing where the techniques are all of `Bidirectional`; path or light tracing with some.
+    `samples`: rounded up to a multiple of 4096, which are drawn at once.
     """
     light = target.target
     require(isinstance(light, Light), f"independent: the target must be flatland's Light, not {type(light).__name__}")
     assert isinstance(light, Light)
-    batches = max(2, -(-samples // _BATCH))
-    rows = [np.asarray(_batch(jax.random.fold_in(key, k), target, light.paths), np.float64) for k in range(batches)]
+    found = exposed(key, target, light.paths, samples, np.inf)
     pixels = light.paths.sensor.pixels
-    sums, squares = np.sum(rows, axis=0)
-    mean = sums / (batches * _BATCH)
-    variance = np.maximum(squares / (batches * _BATCH) - mean**2, 0)
-    return Picture(pixels * mean, pixels * np.sqrt(variance / (batches * _BATCH)))
-
-
-@eqx.filter_jit
-def _batch(key: Key, target: Multiplexed, paths: Paths) -> Float[Array, "2 n"]:
-    """Sums of the contributions to each pixel, and of their squares."""
-    dtype = jnp.zeros(()).dtype
-    target, paths = cast(target, dtype), cast(paths, dtype)
-    numbers = uniforms(key, 0, (target.dim_u + 1, _BATCH), dtype)
-    index = stratum(numbers[0], target.n_techniques)
-    states = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:]))
-    value = target.n_techniques * jnp.exp(states.seen.log_c)
-    pixel = jax.vmap(paths.pixel, in_axes=-1)(states.seen.x)
-    zeros = jnp.zeros(paths.sensor.pixels, dtype)
-    return jnp.stack([zeros.at[pixel].add(value), zeros.at[pixel].add(value * value)])
+    return Picture(pixels * found.mean, pixels * found.error)
 
 
 EXAMPLES = Examples(lambda: {"exposure": Exposure(LIT["light"].paths)})

@@ -11,9 +11,10 @@ import pytest
 
 from mcmc1d.flatland import Material, Paths, Pinhole, Scene, Segment, Wall
 from mcmc1d.flatland.integrators import Image, PhotonDensity
-from mcmc1d.flatland.integrators.base import bootstrap, multiplexed
+from mcmc1d.flatland.integrators.base import multiplexed
 from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.reference import image
+from mcmc1d.flatland.sampling import bootstrap
 from mcmc1d.flatland.scenes import scene
 
 pytestmark = pytest.mark.slow

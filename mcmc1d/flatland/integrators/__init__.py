@@ -10,13 +10,14 @@ from mcmc1d.flatland.integrators.base import Integrator
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT, RJMLT
 from mcmc1d.flatland.integrators.coherent import CoherentMLT
 from mcmc1d.flatland.integrators.exchange import ReplicaExchange
-from mcmc1d.flatland.integrators.image import Image, Layer, Stacked, Sums
+from mcmc1d.flatland.integrators.image import Image, Layer, Stacked
 from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, LightTracing, PathTracing
 from mcmc1d.flatland.integrators.instant import InstantRadiosity
 from mcmc1d.flatland.integrators.photons import PhotonDensity
 from mcmc1d.flatland.integrators.redistribution import EnergyRedistribution
 from mcmc1d.flatland.integrators.staged import StagedMLT
 from mcmc1d.flatland.integrators.veach import MLT
+from mcmc1d.flatland.sampling import Sums
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import require
 from mcmc1d.types import Key

@@ -3,23 +3,16 @@
 import abc
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.bidirectional import Bidirectional
-from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
+from mcmc1d.flatland.integrators.image import Layer, Stacked
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Pinhole, Scene, distance
-from mcmc1d.numerics import cast, is_concrete, require, stratum
-from mcmc1d.random import uniforms
-from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Key
+from mcmc1d.numerics import is_concrete, require
+from mcmc1d.state import Multiplexed
+from mcmc1d.types import Key
 from mcmc1d.weights import Power, Weights
-
-_LANES = 2**12
-_STEPS = 2**9
 
 
 class Integrator(eqx.Module):
@@ -87,58 +80,4 @@ def brightest_from_lamps(scene: Scene, edges: int) -> float:
     return 2 * emission * lamps * reflectance ** (edges - 1) * peak * response
 
 
-def exposed(key: Key, target: Multiplexed, paths: Paths, samples: int, bound: float) -> Sums:
-    """Independent samples of `target`'s states: what each puts into each pixel, C_i(u) times the techniques."""
-    return _sums(key, target, paths, samples, bound)
-
-
-def bootstrap(key: Key, target: Multiplexed, samples: int, bound: float, only: int | None = None) -> Sums:
-    """The same without a film, as sums of shape (1,): the integral of whatever `target` is, `Pooled` included.
-
-    With `only`, that of this technique's contribution alone.
-    """
-    return _sums(key, target, None, samples, bound, only)
-
-
-def _sums(
-    key: Key, target: Multiplexed, paths: Paths | None, samples: int, bound: float, only: int | None = None
-) -> Sums:
-    pixels = 1 if paths is None else paths.sensor.pixels
-    steps = max(1, -(-samples // _LANES))
-    total, squares = np.zeros(pixels), np.zeros(pixels)
-    for first in range(0, steps, _STEPS):
-        count = min(_STEPS, steps - first)
-        lanes = _sampled(key, target, paths, jnp.asarray(first), jnp.asarray(count), only)
-        total, squares = (
-            old + np.asarray(new, np.float64).sum(-1) for old, new in zip((total, squares), lanes, strict=True)
-        )
-    if not np.all(np.isfinite(squares)):
-        raise ValueError("the light of a path is NaN or infinite, or its square over what single precision holds")
-    return Sums(steps * _LANES, total, squares, bound)
-
-
-@wide_jit
-def _sampled(
-    key: Key, target: Multiplexed, paths: Paths | None, first: Array, count: Array, only: int | None
-) -> tuple[Array, Array]:
-    """Of each lane and pixel the sum over `count` samples, and that of their squares: two of shape (pixels, lanes)."""
-    dtype = jnp.zeros(()).dtype
-    target, paths = cast((target, paths), dtype)
-    pixels = 1 if paths is None else paths.sensor.pixels
-
-    def body(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
-        numbers = uniforms(key, first + k, (target.dim_u + 1, _LANES), dtype)
-        index = stratum(numbers[0], target.n_techniques)
-        index = index if only is None else jnp.full_like(index, only)
-        seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:])).seen
-        value = ((target.n_techniques if only is None else 1) * jnp.exp(seen.log_c))[None]
-        if paths is not None:
-            pixel = jax.vmap(paths.pixel, in_axes=-1)(seen.x)
-            value = jnp.where(pixel[None] == jnp.arange(pixels)[:, None], value, 0)
-        return sums[0] + value, sums[1] + value * value
-
-    zero = jnp.zeros((pixels, _LANES), dtype)
-    return jax.lax.fori_loop(0, count, body, (zero, zero))
-
-
-__all__ = ["Integrator", "bootstrap", "brightest", "brightest_from_lamps", "exposed", "multiplexed"]
+__all__ = ["Integrator", "brightest", "brightest_from_lamps", "multiplexed"]

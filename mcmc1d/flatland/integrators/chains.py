@@ -11,10 +11,11 @@ import numpy as np
 from mcmc1d.chain import run
 from mcmc1d.estimators import Acceptance, Estimator
 from mcmc1d.examples import Examples
-from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest, multiplexed
-from mcmc1d.flatland.integrators.image import Layer, Sums
+from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
+from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Paths
+from mcmc1d.flatland.sampling import Sums, bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Kernel, Metropolis, Step
 from mcmc1d.moves import AimedJump, LargeStep, Mixture, ReversibleJump, SmallStep, StepAndChange

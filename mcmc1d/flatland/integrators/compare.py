@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from mcmc1d.flatland.integrators.image import Image, Layer, Stacked, Sums
+from mcmc1d.flatland.integrators.image import Image, Layer, Stacked
+from mcmc1d.flatland.sampling import Sums
 from mcmc1d.numerics import require
 
 

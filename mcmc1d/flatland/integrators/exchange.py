@@ -7,10 +7,11 @@ import numpy as np
 
 from mcmc1d.chain import run
 from mcmc1d.estimators import Acceptance
-from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest, multiplexed
+from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
 from mcmc1d.flatland.integrators.chains import EachChain, require_chains
-from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
+from mcmc1d.flatland.integrators.image import Layer, Stacked
 from mcmc1d.flatland.paths import Paths
+from mcmc1d.flatland.sampling import Sums, bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.moves import LargeStep, Mixture, Move, SmallStep
 from mcmc1d.moves.exchange import Exchange, ReplicaStep

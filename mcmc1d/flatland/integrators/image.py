@@ -5,30 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-
-class Sums(NamedTuple):
-    """Sums over independent random numbers, each in [0, bound]: of the samples of a pixel, or of a chain's deposits."""
-
-    size: int
-    total: np.ndarray
-    squares: np.ndarray
-    bound: float
-    """What none of the numbers exceeds, in theory: with it, a deviation of the mean has an honest probability."""
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Their mean."""
-        return self.total / self.size
-
-    @property
-    def variance(self) -> np.ndarray:
-        """Of one of them, unbiased."""
-        return np.maximum(self.squares - self.total**2 / self.size, 0) / (self.size - 1)
-
-    @property
-    def error(self) -> np.ndarray:
-        """The standard error of the mean."""
-        return np.sqrt(self.variance / self.size)
+from mcmc1d.flatland.sampling import Sums
 
 
 class Layer(NamedTuple):

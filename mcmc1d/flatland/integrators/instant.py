@@ -10,11 +10,12 @@ import numpy as np
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.evaluation import reads
-from mcmc1d.flatland.integrators.base import bootstrap, brightest, exposed, multiplexed
+from mcmc1d.flatland.integrators.base import brightest, multiplexed
 from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.integrators.passes import Passes
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Geometry, Light, LightTimes, Paths
+from mcmc1d.flatland.sampling import bootstrap, exposed
 from mcmc1d.flatland.scene import Pinhole, Scene
 from mcmc1d.numerics import parameter, require
 from mcmc1d.state import Multiplexed, State

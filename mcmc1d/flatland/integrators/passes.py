@@ -9,8 +9,9 @@ import numpy as np
 
 from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.integrators.base import Integrator
-from mcmc1d.flatland.integrators.image import Layer, Sums
+from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.paths import Paths
+from mcmc1d.flatland.sampling import Sums
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import below_one, cast
 from mcmc1d.random import uniforms

@@ -9,10 +9,11 @@ import numpy as np
 
 from mcmc1d.chain import run
 from mcmc1d.compiling import wide_jit
-from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest, multiplexed
+from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
 from mcmc1d.flatland.integrators.chains import EachChain
-from mcmc1d.flatland.integrators.image import Layer, Sums
+from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.paths import Paths
+from mcmc1d.flatland.sampling import Sums, bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep

@@ -8,11 +8,12 @@ import jax
 import numpy as np
 
 from mcmc1d.flatland.importance import OverPixels, Shader
-from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest
+from mcmc1d.flatland.integrators.base import Integrator, brightest
 from mcmc1d.flatland.integrators.exposure import exact_starts, expose, highest_seen, unexposed
-from mcmc1d.flatland.integrators.image import Layer, Stacked, Sums
+from mcmc1d.flatland.integrators.image import Layer, Stacked
 from mcmc1d.flatland.integrators.independent import BidirectionalPathTracing, PathTracing
 from mcmc1d.flatland.paths import Light, Paths
+from mcmc1d.flatland.sampling import Sums, bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.image import Film
 from mcmc1d.metropolis import Metropolis

@@ -12,11 +12,12 @@ from mcmc1d.checks import require_instance
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.geometry import Vector
 from mcmc1d.flatland.integrators import MMLT, PSSMLT, BidirectionalPathTracing, LightTracing
-from mcmc1d.flatland.integrators.base import Integrator, bootstrap, brightest
+from mcmc1d.flatland.integrators.base import Integrator, brightest
 from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.integrators.independent import independent
 from mcmc1d.flatland.mutants import Mutant, two_lamps
 from mcmc1d.flatland.paths import Paths, lamps
+from mcmc1d.flatland.sampling import bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import pick
 from mcmc1d.state import Multiplexed
