@@ -25,7 +25,7 @@ from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import GaussianMixture
 from mcmc1d.techniques import Uniform
 from mcmc1d.verify import RingStep, enumerate_kernel, ring, step_operator
-from mcmc1d.verify.goodness import cdf_gap, p_value, smallest_gap, total_variation
+from mcmc1d.verify.goodness import cdf_gap, expected_distance, p_value, smallest_gap, total_variation
 
 SOURCE = "Hachisuka et al. 2014, sec. 6"
 THEORY = "Roberts, Rosenthal 2007"
@@ -272,8 +272,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     distance = {name: total_variation(law, masses) for name, law in share.items()}
     p = {str(g): float(data.p.sel(gain=g)) for g in data.gain.to_numpy()}
     apart = total_variation(share["not fading"], data.predicted.to_numpy())
-    # The expected total variation of so many independent draws in the bins.
-    noise = float(np.sqrt(2 / np.pi / float(data.chains)) * np.sqrt(masses * (1 - masses)).sum() / 2)
+    noise = expected_distance(np.sqrt(masses * (1 - masses) / float(data.chains)))
 
     def slope(kind: str) -> float:
         late = data.step.to_numpy() >= 100

@@ -27,7 +27,7 @@ from mcmc1d.techniques import PiecewiseLinear, Technique
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.gaussian import BoxMuller
 from mcmc1d.types import Array, Corners, Float, Scalar
-from mcmc1d.verify.goodness import total_variation
+from mcmc1d.verify.goodness import expected_distance, total_variation
 
 SOURCE = "Bitterli et al. 2017"
 
@@ -202,8 +202,7 @@ def _cell(x: Float[Array, " 2"]) -> Float[Array, " 32"]:
 def cell_error(data: xr.Dataset, jump: str) -> tuple[float, float, float]:
     """The total variation of the cells' law, what mere noise makes it, and the largest error in standard errors."""
     (mean, error), exact = data.cells.sel(jump=jump).to_numpy(), data.cells_exact.to_numpy()
-    noise = float(error.sum() / np.sqrt(2 * np.pi))
-    return total_variation(mean, exact), noise, float((np.abs(mean - exact) / error).max())
+    return total_variation(mean, exact), expected_distance(error), float((np.abs(mean - exact) / error).max())
 
 
 def draw(data: xr.Dataset) -> Figure:

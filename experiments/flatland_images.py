@@ -27,7 +27,7 @@ LEVEL = 1e-4
 STRICT = ("pt", "bdpt", "pssmlt_sum", "pssmlt_max", "mmlt", "rjmlt")
 """Held to the error that is asked for; the others to three times as much."""
 
-CHAINS = 2**16
+CHAINS = 2**18
 """Of what runs chains: a deviation of their mean is bounded by their number."""
 
 

@@ -18,7 +18,7 @@ from experiments.support.beside import both_cores
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import expected_distance, passes, verdict
+from experiments.support.verdict import passes, verdict
 from mcmc1d import verify
 from mcmc1d.moves import AimedJump, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.moves.multiple_try import by_target
@@ -32,7 +32,7 @@ from mcmc1d.techniques.planar import EXAMPLES as BOXES
 from mcmc1d.techniques.planar import outlines
 from mcmc1d.techniques.planar_table import EXAMPLES as TABLES
 from mcmc1d.techniques.triangle import EXAMPLES as TRIANGLES
-from mcmc1d.verify.goodness import p_value, smallest_gap, total_variation
+from mcmc1d.verify.goodness import expected_distance, p_value, smallest_gap, total_variation
 from mcmc1d.verify.mutants.jumps import no_jacobian
 
 

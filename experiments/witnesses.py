@@ -18,7 +18,7 @@ from experiments.support.witnesses_cases import Case, cases
 from mcmc1d.moves import Move
 from mcmc1d.verify import check_move, deposit_law, transition_operator, verify
 from mcmc1d.verify.contract import Check
-from mcmc1d.verify.goodness import total_variation
+from mcmc1d.verify.goodness import expected_distance, total_variation
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,7 @@ def _law(case: Case, edges: np.ndarray, points: int) -> tuple[float, float]:
         exact = case.exact(edges)[None] / case.exact(edges).sum()
     if case.parts:
         deposited = deposit_law(case.kernel, case.target, edges, points=points)
-        noise = float(np.sqrt(2 / np.pi) * deposited.standard_error.sum() / 2)
-        return total_variation(deposited.masses, exact.sum(0)), noise
+        return total_variation(deposited.masses, exact.sum(0)), expected_distance(deposited.standard_error)
     law = transition_operator(case.kernel, case.target, points=points).law_of(edges, case.of)
     shown, truth = (law.masses, exact) if case.exact is None else (law.masses.sum(0), exact[0])
     return total_variation(shown / shown.sum(), truth), law.noise

@@ -20,8 +20,12 @@ def require_instance(value: Any, kind: type[T], who: str, fix: str = "") -> T:
     """`value`, or `ValueError` unless it is an instance of `kind`: a class in its place is a common slip."""
     if isinstance(value, type):
         raise ValueError(f"{who}: give an instance, {value.__name__}(...), not the class {value.__name__}")
-    require(isinstance(value, kind), f"{who} must be a {kind.__name__}, not a {type(value).__name__}{fix}")
+    require(isinstance(value, kind), f"{who} must be {_a(kind)}, not {_a(type(value))}{fix}")
     return value
+
+
+def _a(kind: type) -> str:
+    return f"{'an' if kind.__name__[0] in 'AEIOUaeiou' else 'a'} {kind.__name__}"
 
 
 def require_whole(value: Any, who: str, least: int = 1) -> None:

@@ -12,13 +12,12 @@ from scipy.stats import sem
 import mcmc1d
 from experiments.support.beside import both_cores
 from experiments.support.framework import Claim
-from experiments.support.verdict import expected_distance
 from mcmc1d.moves import SmallStep
 from mcmc1d.targets import Ring, Target
 from mcmc1d.targets.planar import two_ridges
 from mcmc1d.techniques import ConcentricDisk, PolarDisk, Rectangle, Technique
 from mcmc1d.types import Key
-from mcmc1d.verify.goodness import total_variation
+from mcmc1d.verify.goodness import expected_distance, total_variation
 
 MAPS: dict[str, Technique] = {
     # A disk around the unit square, so that each of the three makes all of it.

@@ -3,8 +3,6 @@
 from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
-
 from mcmc1d.numerics import require
 from mcmc1d.verify import Verdict
 
@@ -20,11 +18,6 @@ def fails(said: Iterable[Any]) -> bool | None:
     """Whether all of them failed; None where none passed, and one was inconclusive."""
     turned = {Verdict.PASS: Verdict.FAIL, Verdict.FAIL: Verdict.PASS, Verdict.INCONCLUSIVE: Verdict.INCONCLUSIVE}
     return passes(turned[Verdict(str(word))].value for word in said)
-
-
-def expected_distance(error: np.ndarray) -> float:
-    """The total variation that normal errors of these standard deviations make, on average."""
-    return float(np.sqrt(2 / np.pi) * error.sum() / 2)
 
 
 def near(distance: float, noise: float) -> bool | None:

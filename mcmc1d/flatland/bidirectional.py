@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.evaluation import evaluate, reads
 from mcmc1d.flatland.geometry import Vector, Walls
@@ -65,7 +66,8 @@ class Bidirectional(Family):
 
     def __init__(self, paths: Paths, lengths: Sequence[int] | None = None):
         """`lengths`: which t, all of them unless given: (k + 1,) is path tracing without next event estimation."""
-        known = range(1 - paths.sensor.places, paths.edges + 2)
+        require_instance(paths, Paths, "Bidirectional: the paths")
+        known = paths.eye_lengths
         self.paths, self.lengths = paths, tuple(known if lengths is None else lengths)
         require(
             len(self.lengths) > 0 and set(self.lengths) <= set(known),
@@ -134,10 +136,10 @@ class Joined(Technique):
     t: int = eqx.field(static=True)
 
     def __check_init__(self):
-        least = 1 - self.paths.sensor.places
+        known = self.paths.eye_lengths
         require(
-            least <= self.t <= self.paths.edges + 1,
-            f"Joined: of the {self.paths.edges + 1} vertices of a path, t = {least} to {self.paths.edges + 1} are "
+            self.t in known,
+            f"Joined: of the {self.paths.edges + 1} vertices of a path, t = {known[0]} to {self.paths.edges + 1} are "
             f"walked from the sensor, not {self.t}",
         )
 

@@ -61,6 +61,7 @@ from mcmc1d.flatland.schema import (
     text_of,
 )
 from mcmc1d.flatland.toml_text import basic_string, parse
+from mcmc1d.numerics import require
 
 _TOP: Schema = {
     "name": TEXT,
@@ -94,6 +95,7 @@ def read(path: str | os.PathLike[str]) -> Scene:
     TOML; a key is unknown (the nearest known one is proposed), missing, or has a value of a wrong type; a material is
     unknown; the scene is none (`Material`, `Pinhole`, `Wall` and `Scene` say why).
     """
+    require(isinstance(path, str | os.PathLike), f"read: give the path of a scene's TOML file, not {path!r}")
     file = File(os.fspath(path), text_of(path))
     top = file.table(parse(file.text, file.path), (), "the file", _TOP, tuple(_TOP))
     materials = {}

@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.geometry import Vector, Walls, where
 from mcmc1d.flatland.scattering import Local, brdf, local, log_density
-from mcmc1d.flatland.scene import Scene
+from mcmc1d.flatland.scene import Scene, require_scene
 from mcmc1d.flatland.sensors import Sensor, sensor_of
-from mcmc1d.numerics import require
 from mcmc1d.targets import Target
 from mcmc1d.types import Array, Bool, Corners, Float, Int, Scalar
 
@@ -59,13 +59,19 @@ class Paths(eqx.Module):
 
     def __init__(self, scene: Scene, edges: int):
         """`edges`: k, 1 for a lamp that is seen directly."""
-        require(edges >= 1, f"Paths: a path has one edge at least, not {edges}")
+        require_scene(scene, "Paths: the scene")
+        require_whole(edges, "Paths: edges")
         self.walls, self.sensor, self.edges = Walls(scene), sensor_of(scene), edges
 
     @property
     def dim(self) -> int:
         """How many numbers a path has: k, and one more where the sensor is no point."""
         return self.edges + self.sensor.places
+
+    @property
+    def eye_lengths(self) -> range:
+        """The t of all techniques, of how many vertices they walk from the sensor: 0 where a walk may come upon it."""
+        return range(1 - self.sensor.places, self.edges + 2)
 
     @property
     def corners(self) -> Corners:

@@ -40,13 +40,15 @@ class Material:
         for name in ("emission", "lambert", "glossy", "mirror"):
             value = getattr(self, name)
             require(isinstance(value, _NUMBER), f"Material: {name} is a number, not {value!r}")
-            require(np.isfinite(value) and value >= 0, f"Material: {name} must not be negative or infinite: {value}")
+            require(np.isfinite(value) and value >= 0, f"Material: {name} must be finite and not negative: {value}")
         require(
             self.emission == 0 or 1e-9 <= self.emission <= 1e9,
             f"Material: emission must be 0, or from 1e-9 to 1e9 (single precision squares it), not {self.emission}",
         )
         require(
-            isinstance(self.exponent, _NUMBER) and self.exponent in range(1, 201),
+            not isinstance(self.exponent, bool)
+            and isinstance(self.exponent, _NUMBER)
+            and self.exponent in range(1, 201),
             f"Material: exponent must be a whole number from 1 to 200, not {self.exponent!r}",
         )
         object.__setattr__(self, "exponent", int(self.exponent))
@@ -93,7 +95,7 @@ class Pinhole:
     direction: Point
     """Where it looks; of any length."""
     half_angle: float = 0.6
-    """Half the field of view, in radians; under pi / 2."""
+    """Half the field of view, in radians; under 1.57."""
     pixels: int = 16
 
     def __post_init__(self):
@@ -106,7 +108,7 @@ class Pinhole:
         )
         require(
             0 < self.half_angle < 1.57,
-            f"Pinhole: half_angle is in radians, over 0 and under pi / 2, not {self.half_angle}",
+            f"Pinhole: half_angle is in radians, over 0 and under 1.57, not {self.half_angle}",
         )
 
 
@@ -149,7 +151,11 @@ class Scene:
         require(sensor, f"scene {self.name}: the sensor must be a Pinhole or a Wall, not {self.sensor!r}")
         for k, segment in enumerate(self.segments):
             finite = bool(np.isfinite([*segment.start, *segment.end]).all())
-            require(finite, f"scene {self.name}: {self.label(k)} has an end that is not finite: {segment}")
+            require(
+                finite,
+                f"scene {self.name}: {self.label(k)} has an end that is not finite: it runs from {segment.start} to "
+                f"{segment.end}",
+            )
         for k, segment in enumerate(self.segments):
             require(
                 segment.length > 1e-4 * self._extent(),
@@ -236,6 +242,12 @@ class Scene:
             f"scene {self.name}: the pinhole at {sensor.position} stands in {self.label(k)}; move it off the wall, by "
             "more than 1e-5 of the scene's extent",
         )
+
+
+def require_scene(scene: Any, who: str) -> None:
+    """Raise `ValueError` unless it is a scene; the name of one is a common slip."""
+    fix = "; scenes.scene(name) is one of the catalogue, files.read(path) that of a file"
+    require_instance(scene, Scene, who, fix if isinstance(scene, str) else "")
 
 
 def _point(given: Any, who: str) -> Point:

@@ -25,6 +25,7 @@ def catalogue() -> Mapping[str, Callable[[], Scene]]:
 def scene(name: str) -> Scene:
     """A scene of the catalogue; `ValueError` with the nearest name where there is none of this one."""
     known = catalogue()
+    require(isinstance(name, str), f"scene: give the name of a scene, not {name!r}")
     require(name in known, f"there is no scene {name!r}; {nearest(name, known)}")
     return known[name]()
 

@@ -1,6 +1,7 @@
 """A move chosen at random among several, each step."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,6 +15,32 @@ from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick, require
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Real
+
+T = TypeVar("T")
+
+
+def shares(given: Any, kind: type[T], what: str) -> tuple[tuple[str, ...], tuple[T, ...], Float[Real, " n"]]:
+    """Names, what they name, and probabilities, of name -> (probability, a `kind`).
+
+    Raises `ValueError` unless the probabilities, where they are known, are not negative and sum to one. `what`: for
+    messages, such as "Mixture: move".
+    """
+    who, _, one = what.partition(": ")
+    require(isinstance(given, Mapping) and len(given) > 0, f"{who}: give {one}s by name, one at least")
+    for name, pair in given.items():
+        two = isinstance(pair, Sequence) and len(pair) == 2
+        require(two, f"{who}: of {one} {name!r} give (probability, {one}), not {type(pair).__name__}")
+    members = tuple(require_instance(member, kind, f"{what} {name!r}") for name, (_, member) in given.items())
+    chances = [probability for probability, _ in given.values()]
+    if not is_concrete(chances):
+        return tuple(given), members, jnp.stack([jnp.asarray(p) for p in chances])
+    p = np.array(chances)
+    require(
+        bool(np.all(p >= 0)) and abs(p.sum() - 1) < 1e-6,
+        f"{who}: the {one}s' probabilities must not be negative, and sum to one; "
+        f"{dict(zip(given, p.tolist(), strict=True))}",
+    )
+    return tuple(given), members, parameter(p)
 
 
 class Mixture(Move):
@@ -35,27 +62,10 @@ class Mixture(Move):
         `seldom`: the names of moves that propose only in those chains of a batch that have chosen them: faster for a
         move that is chosen by one in ten or fewer and costs more than all others, slower else. The law is the same.
         """
-        require(isinstance(moves, Mapping) and len(moves) > 0, "Mixture: give moves by name, one at least")
-        for name, pair in moves.items():
-            two = isinstance(pair, Sequence) and len(pair) == 2
-            require(two, f"Mixture: of move {name!r} give (probability, move), not {type(pair).__name__}")
-        self.names, self.seldom = tuple(moves), tuple(seldom)
+        self.names, self.moves, self.probabilities = shares(moves, Move, "Mixture: move")
+        self.seldom = tuple(seldom)
         unknown = set(self.seldom) - set(self.names)
         require(not unknown, f"Mixture: seldom names no move of it: {', '.join(sorted(unknown))}")
-        for name, (_, move) in moves.items():
-            require_instance(move, Move, f"Mixture: move {name!r}")
-        self.moves = tuple(move for _, move in moves.values())
-        chances = [probability for probability, _ in moves.values()]
-        self.probabilities = (
-            parameter(np.array(chances)) if is_concrete(chances) else jnp.stack([jnp.asarray(p) for p in chances])
-        )
-        if is_concrete(self.probabilities):
-            p = np.asarray(self.probabilities)
-            require(
-                bool(np.all(p >= 0)) and abs(p.sum() - 1) < 1e-6,
-                "Mixture: the moves' probabilities must not be negative, and sum to one; "
-                f"{dict(zip(self.names, p.tolist(), strict=True))}",
-            )
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -73,6 +73,11 @@ def total_variation(p: np.ndarray, q: np.ndarray) -> float:
     return float(np.abs(p - q).sum() / 2)
 
 
+def expected_distance(error: np.ndarray) -> float:
+    """The total variation that normal errors of these standard deviations make, on average."""
+    return float(np.sqrt(2 / np.pi) * error.sum() / 2)
+
+
 def _binomial(k: np.ndarray, n: np.ndarray | int, p: np.ndarray | float) -> np.ndarray:
     """Two-sided exact p-values: twice the smaller tail, the observed count in both."""
     return np.minimum(1.0, 2 * np.minimum(binom.cdf(k, n, p), binom.sf(np.asarray(k) - 1, n, p)))

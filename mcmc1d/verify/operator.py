@@ -22,6 +22,7 @@ from mcmc1d.moves import Move
 from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
 from mcmc1d.verify.flux import Flux, Starts, measure
+from mcmc1d.verify.goodness import expected_distance
 from mcmc1d.verify.outcomes import KernelFlux, StepFlux, find_atoms
 from mcmc1d.verify.sparse import Matrix, eigenvalues, poisson, stationary, transition
 
@@ -135,8 +136,7 @@ class Operator:
         each = np.stack([extrapolated(*own)[0] for own in zip(self.flux.scrambles, insides, strict=True)])
         masses, here = extrapolated(self.mean_flux, sp.csr_matrix(sum(insides[1:], insides[0])))
         error = each.std(0, ddof=1) / _c4(len(each)) / np.sqrt(len(each))
-        # The mean absolute deviation of a normal number of each standard error.
-        noise = float(error.sum() * np.sqrt(2 / np.pi) / 2)
+        noise = expected_distance(error)
         require(
             noise < _UNKNOWN and masses.min() > -_UNKNOWN,
             f"the law was not found: the net's scrambles differ by {noise:.2g} of total variation, and the least "
@@ -163,7 +163,7 @@ class Operator:
     def _noise(self, squares: np.ndarray) -> float:
         """Half the expected sum of absolute means, from sums of squared deviations over the scrambles."""
         r = len(self.flux.scrambles)
-        return float(np.sqrt(squares / (r - 1) / r).sum() / _c4(r) * np.sqrt(2 / np.pi) / 2)
+        return expected_distance(np.sqrt(squares / (r - 1) / r)) / _c4(r)
 
     def spectral_gap(self) -> float:
         """1 - |lambda_2|, of P: the rate at which what is left of the start decays.

@@ -9,7 +9,7 @@ import numpy as np
 
 from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.numerics import cast
-from mcmc1d.techniques import Technique
+from mcmc1d.techniques import Family, Technique
 from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, steepness
 from mcmc1d.verify.contract import Check, ContractReport, numbers
 from mcmc1d.verify.density import integral, linear, outside, over_v, unreached
@@ -39,7 +39,10 @@ def check_technique(
     sides there. `report.raise_if_failed()` is for tests. Raises `ValueError` where the technique is not a map
     between spaces of one dimension.
     """
-    require_instance(technique, Technique, "check_technique: the technique")
+    several = isinstance(technique, Family)
+    require_instance(
+        technique, Technique, "check_technique: the technique", "; check each of its .members" if several else ""
+    )
     require_whole(points, "check_technique: points")
     checks = []
     with jax.enable_x64(True):

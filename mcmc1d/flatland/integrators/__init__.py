@@ -18,7 +18,8 @@ from mcmc1d.flatland.integrators.redistribution import EnergyRedistribution
 from mcmc1d.flatland.integrators.staged import StagedMLT
 from mcmc1d.flatland.integrators.veach import MLT
 from mcmc1d.flatland.sampling import Sums
-from mcmc1d.flatland.scene import Scene
+from mcmc1d.flatland.scene import Scene, require_scene
+from mcmc1d.flatland.schema import nearest
 from mcmc1d.numerics import require
 from mcmc1d.types import Key
 from mcmc1d.weights import Maximum, Power
@@ -77,10 +78,10 @@ def integrate(
     """
     if isinstance(integrator, str):
         known = INTEGRATORS | FURTHER
-        require(integrator in known, f"there is no integrator {integrator!r}; known: {', '.join(known)}")
+        require(integrator in known, f"there is no integrator {integrator!r}; {nearest(integrator, known)}")
         integrator = known[integrator]
-    require_instance(integrator, Integrator, "integrate: the integrator")
-    require_instance(scene, Scene, "integrate: the scene")
+    require_instance(integrator, Integrator, "integrate: the integrator", ", nor a name of one")
+    require_scene(scene, "integrate: the scene")
     several = np.iterable(lengths)
     for k in lengths if several else (lengths,):
         require_whole(k, "integrate: lengths: a number of edges")

@@ -83,7 +83,7 @@ class Metropolised(Integrator):
         b_key, key = jax.random.split(key)
         paths, kernel = Paths(scene, edges), self.kernel()
         target = self.target(paths)
-        techniques = len(paths_techniques(paths))
+        techniques = len(paths.eye_lengths)
         deposited, most = self.limits(techniques)
         b = bootstrap(b_key, target, int(self.spent_on_b * samples), most * brightest(scene, edges))
         pixels = float(paths.sensor.pixels)
@@ -99,11 +99,6 @@ class Metropolised(Integrator):
         film = Sums(self.chains, each.sum(1), (each**2).sum(1), deposited)
         counts = dict(zip(ran.kinds, ran.sums["kinds"][1].sum(0).tolist(), strict=True))
         return Layer(edges, pixels, film, b, self.rays(target, paths, counts)[0] + per_b)
-
-
-def paths_techniques(paths: Paths) -> range:
-    """The t of all techniques."""
-    return range(1 - paths.sensor.places, paths.edges + 2)
 
 
 def require_chains(integrator: Any) -> None:

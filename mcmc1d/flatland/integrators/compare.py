@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
+from mcmc1d.checks import require_instance
 from mcmc1d.flatland.integrators.image import Image, Layer, Stacked
 from mcmc1d.flatland.sampling import Sums
 from mcmc1d.numerics import require
@@ -94,6 +95,9 @@ def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, 
     `level`: that any pixel of a right integrator fails, all rows together (a union bound). Raises `ValueError` where
     the shapes do not fit, or a number of either image is NaN or infinite.
     """
+    require_instance(image, Image, "compare: the image")
+    known = isinstance(level, int | float | np.floating) and 0 < level < 1
+    require(known, f"compare: the level is a probability over 0 and under 1, not {level!r}")
     values = np.asarray(values, np.float64)
     errors = np.zeros_like(values) if errors is None else np.asarray(errors, np.float64)
     require(
@@ -103,6 +107,7 @@ def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, 
     )
     for what, numbers in (("the image", image.values), ("the exact image", values), ("its errors", errors)):
         require(bool(np.isfinite(numbers).all()), f"compare: {what} is NaN or infinite somewhere")
+    require(bool((errors >= 0).all()), "compare: the exact image's errors must not be negative")
     lengths, pixels = values.shape
     each = level / (pixels * (lengths + 1))
     around = np.stack([radius([layer], each) for layer in image.layers] + [radius(image.layers, each)])

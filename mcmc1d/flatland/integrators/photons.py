@@ -71,7 +71,7 @@ class PhotonDensity(Passes):
 
     def target(self, paths: Paths) -> Multiplexed:
         """The paths that photons make which come upon the sensor or, of a pinhole, are joined to it."""
-        return multiplexed(paths, (1 - paths.sensor.places,), None)
+        return multiplexed(paths, (paths.eye_lengths[0],), None)
 
     def numbers(self, paths: Paths) -> tuple[int, int]:
         return (1 if paths.sensor.places else 1 + 2 * paths.edges), self.photons * (2 + 2 * _landings(paths))

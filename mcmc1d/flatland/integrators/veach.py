@@ -45,7 +45,7 @@ class MLT(Metropolised):
         return 1.0, float(techniques)
 
     def rays(self, target: Multiplexed, paths: Paths, counts: dict[str, float]) -> tuple[float, float]:
-        k, first = paths.edges, 1 - paths.sensor.places
+        k, first = paths.edges, paths.eye_lengths[0]
         kept = [max(a - 1, 0) + max(b - 1, 0) for a, b in deletions(layout(target))]
         each = {"bidirectional": k - sum(kept) / len(kept)}
         if paths.walls.mirrors:

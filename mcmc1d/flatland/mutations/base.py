@@ -12,14 +12,13 @@ from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
-from mcmc1d.checks import require_instance
 from mcmc1d.flatland.any_length import AnyLength
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.moves import Move, Proposal
-from mcmc1d.numerics import choose, cumulative, locate, log_sum, parameter, pick, require, unchoose
+from mcmc1d.moves.mixture import shares
+from mcmc1d.numerics import choose, cumulative, locate, log_sum, pick, require, unchoose
 from mcmc1d.state import Eval, Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Real, Scalar
 
@@ -65,11 +64,10 @@ def layout(target: Multiplexed) -> Layout:
         f"mutations of paths need the techniques Bidirectional or AnyLength, not {type(family).__name__}",
     )
     assert isinstance(family, Bidirectional)
-    k = family.paths.edges
-    least = 1 - family.paths.sensor.places
+    k, every = family.paths.edges, family.paths.eye_lengths
     require(
-        tuple(family.lengths) == tuple(range(least, k + 2)),
-        f"mutations of paths need every technique, t = {least} to {k + 1}, not {family.lengths}",
+        tuple(family.lengths) == tuple(every),
+        f"mutations of paths need every technique, t = {every[0]} to {k + 1}, not {family.lengths}",
     )
     return Layout(family.paths, (k,) * len(family.lengths), family.lengths, target.dim_u)
 
@@ -123,16 +121,7 @@ class Mutations(Move):
 
     def __init__(self, mutations: Mapping[str, tuple[float, Mutation]]):
         """`mutations`: name -> (probability, mutation); the probabilities sum to one."""
-        self.names = tuple(mutations)
-        for name, (_, mutation) in mutations.items():
-            require_instance(mutation, Mutation, f"Mutations: {name!r}")
-        self.mutations = tuple(mutation for _, mutation in mutations.values())
-        chances = {name: probability for name, (probability, _) in mutations.items()}
-        self.probabilities = parameter(np.array(list(chances.values())))
-        require(
-            min(chances.values(), default=-1) >= 0 and abs(sum(chances.values()) - 1) < 1e-6,
-            f"Mutations: the probabilities must not be negative, and sum to one; {chances}",
-        )
+        self.names, self.mutations, self.probabilities = shares(mutations, Mutation, "Mutations: mutation")
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from mcmc1d.flatland.reference.glossy import Directions, lobe
 from mcmc1d.flatland.reference.mesh import Resolution, make_mesh
 from mcmc1d.flatland.reference.operators import FILM, IRRADIANCE, Gather, Sources, gather, incoming
 from mcmc1d.flatland.reference.rays import Geometry, Rays, fan
-from mcmc1d.flatland.scene import Pinhole, Scene
+from mcmc1d.flatland.scene import Pinhole, Scene, require_scene
 from mcmc1d.numerics import require
 
 SMALL = Resolution()
@@ -59,6 +59,7 @@ class Reference:
 
 def image(scene: Scene, lengths: int, resolution: Resolution | None = None) -> Reference:
     """The images of paths of exactly 1, 2, ..., `lengths` edges."""
+    require_scene(scene, "image: the scene")
     require_whole(lengths, "image: lengths")
     return _compared(scene, resolution, lambda r: (_Transport(scene, lengths - 1, r).orders(lengths), 0.0))
 
@@ -69,6 +70,7 @@ def converged(scene: Scene, resolution: Resolution | None = None) -> Reference:
     Chains of mirrors end where their light is below 1e-15, or after 100; what is left there is added to the errors.
     Raises `ValueError` where light has no end: in a closed room that absorbs nothing.
     """
+    require_scene(scene, "converged: the scene")
     mirrors = max(segment.material.mirror for segment in scene.segments)
     depth = 0 if mirrors == 0 else _DEEPEST
     if 0 < mirrors < 1:
