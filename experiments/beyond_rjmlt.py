@@ -16,7 +16,7 @@ from experiments.support.beyond_rjmlt_dimensions import RIGHT, TRANSDIMENSIONAL,
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import passes, verdict
+from experiments.support.verdict import detects, passes, verdict
 from mcmc1d import verify
 from mcmc1d.moves import LargeStep, Mixture, Move, Proposal, ReversibleJump, SmallStep
 from mcmc1d.moves.scaled import ScaledStep
@@ -244,7 +244,7 @@ def table(data: xr.Dataset) -> Table:
 
 def judge(data: xr.Dataset) -> list[Claim]:
     """What is right, each beside the mistake that it is easily taken for."""
-    tested = f"level 1e-5; detects a CDF gap of {float(data.gap.max()):.3f} with probability 0.99"
+    tested = detects(data.gap)
     report = {str(name): data.sel(verified=name) for name in data.verified.to_numpy()}
     passed = {name: passes([one.verdict.values]) for name, one in report.items()}
     told = {name: f"{one.verdict.values!s}, p {float(one.p):.2g}" for name, one in report.items()}

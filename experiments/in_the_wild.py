@@ -17,6 +17,7 @@ from rich.table import Table
 
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
+from experiments.support.verdict import detects
 from mcmc1d import verify
 from mcmc1d.verify import Law, Report, laws
 from mcmc1d.verify.report import versions
@@ -175,7 +176,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
                 outcomes.get(verdict, "fails"),
                 "holds",
                 f"{verdict}, p {float(here.p_value):.2g}, {int(here.replicas):,} replicas",
-                f"level 1e-5; detects a CDF gap of {float(here.gap):.3f} with probability 0.99",
+                detects(here.gap),
             )
         )
     return claims

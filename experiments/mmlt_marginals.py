@@ -21,7 +21,7 @@ from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.mmlt_marginals_integrals import NAMES, SOURCE, TECHNIQUES, F
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import near, passes, verdict
+from experiments.support.verdict import detects, near, passes, verdict
 from mcmc1d.checks import require_instance
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Mixture, Move, SmallStep, StepAndChange, TechniqueChange
@@ -241,7 +241,7 @@ def _verified(data: xr.Dataset, names: tuple[str, ...]) -> tuple[bool | None, st
     here = data.sel(verified=list(names))
     passed = passes(here.verdict.to_numpy())
     number = f"verify {'PASS' if passed else '/'.join(here.verdict.to_numpy())}, p {float(here.p.min()):.2g}"
-    return passed, number, f"verify at 1e-5 detects a CDF gap of {float(here.gap.max()):.3f} with probability 0.99"
+    return passed, number, detects(here.gap)
 
 
 def judge(data: xr.Dataset) -> list[Claim]:

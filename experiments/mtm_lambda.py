@@ -30,7 +30,7 @@ from experiments.support.mtm_lambda_kernels import (
 )
 from experiments.support.sweep import Sweep
 from experiments.support.transitions import stationary
-from experiments.support.verdict import passes, verdict, witnessed
+from experiments.support.verdict import detects, passes, verdict, witnessed
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import (
     Antithetic,
@@ -215,9 +215,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     without = [laws[name] for name in ("without", "without, p = 4")]
     wrong = min(total_variation(law, exact) for law in without)
     apart = max(total_variation(law, data.predicted.to_numpy()) for law in without)
-    statistics = (
-        f"verify at {data.level:.0e} detects a CDF gap of {float(data.gap.max()):.3f} at most with probability 0.99"
-    )
+    statistics = detects(data.gap, data.level)
     enumeration = "enumeration, p = 2, lopsided step; exact to 1e-12"
 
     def claim(

@@ -27,7 +27,7 @@ from experiments.support.pss_sampler_references import (
 )
 from experiments.support.pss_sampler_simulations import HOLES, dark_share, holes, paths, ratio, simulate
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import passes, verdict, witnessed
+from experiments.support.verdict import detects, passes, verdict, witnessed
 from mcmc1d import lazy, verify
 from mcmc1d.lazy import LazySampler
 from mcmc1d.verify.goodness import p_value, smallest_gap, total_variation
@@ -208,7 +208,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     merged, apart = (data.lazy_tv.sel(replay=r).to_numpy() for r in ("merged", "apart"))
     steps = data.path_tv.max("large_step").to_numpy()
     verdicts, p, gap = (data[name].to_numpy() for name in ("verdict", "p", "gap"))
-    tested = f"level 1e-5; detects a CDF gap of {gap[0]:.3f} with probability 0.99"
+    tested = detects(gap[0])
     wall = data.clamped.to_numpy()
     exact = data.wall_exact.to_numpy()
     n = data.sizes["cell"]

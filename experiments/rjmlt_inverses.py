@@ -16,7 +16,7 @@ from rich.table import Table
 from experiments.support.framework import Claim
 from experiments.support.rjmlt_inverses_techniques import Brittle, ChosenLobe
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import near, passes, verdict, witnessed
+from experiments.support.verdict import detects, near, passes, verdict, witnessed
 from mcmc1d.moves import Mixture as Moves
 from mcmc1d.moves import Move, ReversibleJump, SmallStep
 from mcmc1d.moves.returning import Returning
@@ -198,7 +198,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     p = {name: f"{said[name]}, p {float(data.p.sel(verified=name)):.2g}" for name in said}
     noise = {str(k): float(data.noise.sel(kernel=k)) for k in data.kernel.to_numpy()}
     true = {name: near(off[name], noise[name]) for name in off}
-    gap = f"verify at 1e-5 detects a CDF gap of {float(data.gap.max()):.3f} with probability 0.99"
+    gap = detects(data.gap)
     most = 2 * max(noise.values())
     held = f"contract, 1e-10 by condition; TV twice the net's noise, {most:.1e} at most (open to four times); {gap}"
     formula = f"contract, 1e-10 by condition; formula, 1e-9; {gap}"

@@ -14,7 +14,7 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
-from experiments.support.verdict import passes, verdict
+from experiments.support.verdict import detects, passes, verdict
 from mcmc1d import tempering
 from mcmc1d.metropolis import Cycle, Deposits, Kernel, Metropolis, Step
 from mcmc1d.moves import Mixture, SmallStep, StepAndChange, TechniqueChange
@@ -251,7 +251,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     ok = float(data.quadrature.max()) < 1e-9 and operators < tolerance
 
     def held(here: xr.Dataset) -> str:
-        return f"verify at 1e-5 detects a CDF gap of {float(here.gap.max()):.3f} with probability 0.99"
+        return detects(here.gap)
 
     return [
         Claim(

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from experiments.support.framework import Claim
-from experiments.support.verdict import passes, verdict
+from experiments.support.verdict import detects, passes, verdict
 from mcmc1d import tempering
 from mcmc1d.importance import Product, Regions
 from mcmc1d.metropolis import Kernel
@@ -121,7 +121,7 @@ def claims(data: xr.Dataset) -> list[Claim]:
             _found(here, theory.convicts),
             theory.expected,
             f"verify {here.theory_verdict.item()}, p {float(here.theory_p):.2g}{here.theory_reason.item()}",
-            f"level 1e-5; a CDF gap of {float(here.theory_gap):.3f} seen with probability 0.99",
+            detects(here.theory_gap),
         )
         for name, theory in theories().items()
         for here in [data.sel(theory=name)]

@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from mcmc1d.numerics import require
 from mcmc1d.verify import Verdict
 
@@ -18,6 +20,11 @@ def fails(said: Iterable[Any]) -> bool | None:
     """Whether all of them failed; None where none passed, and one was inconclusive."""
     turned = {Verdict.PASS: Verdict.FAIL, Verdict.FAIL: Verdict.PASS, Verdict.INCONCLUSIVE: Verdict.INCONCLUSIVE}
     return passes(turned[Verdict(str(word))].value for word in said)
+
+
+def detects(gap: Any, level: float = 1e-5) -> str:
+    """What verifications at this level are held to, the largest of their gaps."""
+    return f"verify at {level:.0e} detects a CDF gap of {float(np.max(gap)):.3f} with probability 0.99"
 
 
 def near(distance: float, noise: float) -> bool | None:
