@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from discover import examples
 
-from mcmc1d.techniques import Inversion, Mixture, RaisedSinusoid, Ramp, Technique, Tent
+from mcmc1d.numerics import below_one
+from mcmc1d.techniques import Inversion, Mixture, RaisedSinusoid, Ramp, Technique, Tent, within
 from mcmc1d.verify import ContractError, check_move, check_technique
 
 TECHNIQUES = examples("mcmc1d.techniques")
@@ -115,6 +116,50 @@ def test_a_wrong_technique_fails_with_the_equation_and_the_point(technique, equa
     assert "u = [" in failure.where
     with pytest.raises(ContractError, match="FAIL"):
         report.raise_if_failed()
+
+
+class _Weibull(Inversion):
+    """k = 1/2: infinite at the finite end of an infinite support."""
+
+    support = (0.0, np.inf)
+    factor: float = 1.0
+
+    def quantile(self, u):
+        return jnp.log1p(-u) ** 2
+
+    def cdf(self, x):
+        return below_one(-jnp.expm1(-jnp.sqrt(jnp.abs(x))))
+
+    def log_prob(self, x):
+        root = jnp.sqrt(jnp.abs(x))
+        return jnp.where(x >= 0, jnp.log(0.5 * self.factor / root) - root, -jnp.inf)
+
+
+class _Bumpy(Inversion):
+    """3 x^2, and too much of it in a window of 1e-4."""
+
+    more: float
+
+    def quantile(self, u):
+        return jnp.cbrt(u)
+
+    def cdf(self, x):
+        return x**3
+
+    def log_prob(self, x):
+        return within(x, jnp.log(3 * x**2) + jnp.where(jnp.abs(x - 0.5) < 5e-5, self.more, 0.0))
+
+
+@pytest.mark.parametrize("right", [_Weibull(), _Bumpy(0.0)], ids=["pole and tail", "smooth"])
+def test_densities_that_integrate_to_one_pass(right):
+    assert check_technique(right, points=500), str(check_technique(right, points=500))
+
+
+@pytest.mark.parametrize("wrong", [_Weibull(1 + 1e-8), _Bumpy(0.5)], ids=["pole and tail", "narrow window"])
+def test_densities_that_do_not_fail(wrong):
+    """By 1e-8, and by 5e-5 in a window that 500 samples hardly meet."""
+    report = check_technique(wrong, points=500)
+    assert any("the integral of p is 1" in failure.equation for failure in report.failures), str(report)
 
 
 def test_what_x_forgets_must_be_returned():

@@ -25,6 +25,7 @@ SETTLE = 0.05
 """The gap up to which a slow kernel may still PASS, where none was asked for."""
 _LOOKS = 16  # the early look is at this fraction of the first stage
 _RATE = 0.01  # a kernel that moves more often than that does not fail for never having moved
+_ATOM = 16  # draws that are one number: of a continuous law in float32 there are two or three
 _STARTS = 7  # the least likely draw, and both ends of up to three coordinates
 
 
@@ -208,8 +209,15 @@ class Trial:
         )
 
     def _coarse(self) -> str:
-        """A word on draws whose coordinates lie so far from zero that their floats are coarse."""
+        """A word on draws that are the same number, or so far from zero that their floats are coarse."""
         for name, values in coordinates(self.unlikely).items():
+            numbers, counts = np.unique(values, return_counts=True)
+            if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and np.ptp(values) > 0:
+                return (
+                    f"; {counts.max()} of {values.size} draws are {name} = {numbers[np.argmax(counts)]:.6g}: where that "
+                    "is rounding, verify it with jax.enable_x64(True); where the law has an atom, say so by "
+                    "`statistics`, for a cdf is of a continuous law"
+                )
             if values.dtype == np.float32 and np.ptp(values) > 0:
                 step = float(np.spacing(np.abs(values).max()))
                 if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):

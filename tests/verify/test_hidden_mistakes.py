@@ -72,6 +72,10 @@ def test_of_many_coordinates_others_than_neighbours_are_looked_at_together():
             Law(sample=lambda rng, n: rng.normal(size=(n, 2)), cdf=ndtr, log_density=lambda x: jnp.nan * x[0]),
             "its log_density is nan at its own draw",
         ),
+        (
+            Law(sample=lambda rng, n: np.maximum(rng.normal(size=n), 0), cdf=lambda x: np.where(x >= 0, ndtr(x), 0)),
+            "of 16384 draws are x = 0: .* say so by `statistics`",
+        ),
     ],
 )
 def test_a_law_that_contradicts_itself_is_named_and_not_the_kernel(law, said):
