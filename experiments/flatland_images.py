@@ -160,7 +160,7 @@ def held(
     needed = pilot * (error / goal) ** 2
     if hasattr(make, "chains") and needed > 8 * pilot:
         # The error of short chains falls more slowly than samples grow: how slowly, a longer look shows.
-        longer = int(min(needed, most) / 8)
+        longer = int(min(max(4 * pilot, needed / 4), most))
         again = integrate(jax.random.fold_in(first, 1), make, of, lengths=lengths, samples=longer)
         after = float(compare(again, *exact, level).detectable[-1].max())
         slope = np.clip(np.log(error / after) / np.log(longer / pilot), 0.25, 0.5)
