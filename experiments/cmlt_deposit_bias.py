@@ -12,23 +12,22 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
+from experiments.support import cmlt_deposit_rings
+from experiments.support.cmlt_deposit_rings import SOURCE
 from experiments.support.framework import Claim
 from experiments.support.intervals import DECIDES, over, ratio, under
 from experiments.support.long import long_run
-from experiments.support.ring_draw import RingDraw
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import detects, passes, verdict, witnessed
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import Move, MultipleTry, SmallStep
-from mcmc1d.moves.multiple_try import LogWeight, SymmetricLambda, by_importance, by_target, evenly
+from mcmc1d.moves.multiple_try import LogWeight, by_importance, evenly
 from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Uniform
 from mcmc1d.types import Key
 from mcmc1d.verify import RingStep, deposit_law, enumerate_kernel, ring, verify
 from mcmc1d.verify.goodness import total_variation
-
-SOURCE = "Segovia et al. 2007"
 
 
 @dataclass(frozen=True)
@@ -62,22 +61,11 @@ LONG = True
 F = (1.0, 3.0, 0.5, 2.0, 4.0)
 """The ring's density; its step is lopsided."""
 TRIES = (1, 2, 4, 16, 64, 256)
-F3, G3 = (1.0, 3.0, 2.0), (0.25, 0.5, 0.25)
-"""A smaller ring, and an independent proposal that is not even."""
 DEPOSITS = ("published", "two states", "auxiliary centre")
 WEIGHTS = {"paper": by_importance, "even": evenly}
 """The paper's lambda, 1 / (g g): between neighbours on a ring that of `by_importance` up to a factor; and none."""
 VERIFIED = 16
 """Candidates in the verifications: the more, the larger the published deposit's bias."""
-SHARES = ("target", "weights")
-"""Inside a family: in proportion to f, as published, or to the weights w that select."""
-
-
-def by_lambda() -> tuple[RingDraw, dict[str, LogWeight]]:
-    """An independent step, and the weights of three lambdas: symmetric ones, and 1 / g(x), whose weight is f."""
-    step = RingDraw(G3)
-    over_both = SymmetricLambda(lambda x, y: -0.5 * (step.log_g(x) + step.log_g(y)))
-    return step, {"1 / sqrt(g g)": by_importance, "1 / (g g)": over_both, "weights f": by_target}
 
 
 def kernel(deposit: str, step: Move, tries: int, log_weight: LogWeight = by_importance) -> Kernel:
@@ -110,10 +98,6 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         at = DEPOSITS.index(deposit), list(WEIGHTS).index(weight)
         enumerated[at] = found.law @ found.deposits
         progress("enumeration", k + 1, len(todo))
-    more = _published(F, RingStep(len(F), {1: 0.5, -1: 0.5}), 3, by_importance, 2)
-    even = _published(F, RingStep(len(F), {1: 0.5, -1: 0.5}), 3, evenly, 2)
-    independent, lambdas = by_lambda()
-    drawn = np.array([[_published(F3, independent, 2, w, 4, inner) for w in lambdas.values()] for inner in SHARES])
     one = kernel("published", step, 2)
     net = deposit_law(one, target, edges, points=config.points)
     size: dict[str, Any] = {"steps": config.steps, "chains": config.chains, "blocks": config.blocks}
@@ -128,12 +112,12 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         reports.append(verify(one, line, seed=seed, **options))
         progress("verification", len(reports), len(DEPOSITS))
     compared = [tries for tries in TRIES if tries <= config.most]
-    bias, spread = (np.zeros((len(DEPOSITS), len(compared))) for _ in range(2))
+    bias = np.zeros((len(DEPOSITS), len(compared)))
     error = np.zeros((*bias.shape, config.repeats))
     for row, deposit in enumerate(DEPOSITS):
         for column, tries in enumerate(compared):
             found = _errors(config, deposit, tries, line, jax.random.fold_in(jax.random.key(seed), 100 * row + column))
-            error[row, column], bias[row, column], spread[row, column] = found
+            error[row, column], bias[row, column] = found
             progress("error against work", row * len(compared) + column + 1, len(DEPOSITS) * len(compared))
     return xr.Dataset(
         {
@@ -145,12 +129,9 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "simulated_error": ("state", simulated.standard_error("x")),
             "error": (("deposit", "tries", "repeat"), error),
             "bias": (("deposit", "tries"), bias),
-            "spread": (("deposit", "tries"), spread),
             "work": config.work,
             "single": single.deposit_residual,
-            "three": ("state", more),
-            "evenly": ("state", even),
-            "independent": (("inner", "lambda", "state3"), drawn),
+            **cmlt_deposit_rings.measure(F),
             "verdict": ("deposit", [report.verdict.value for report in reports]),
             "p": ("deposit", [report.p_value for report in reports]),
             "gap": ("deposit", [report.gap for report in reports]),
@@ -161,26 +142,12 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "weight": list(WEIGHTS),
             "tries": compared,
             "state": np.arange(len(F)),
-            "lambda": list(lambdas),
-            "inner": list(SHARES),
         },
     )
 
 
-def _published(
-    f: tuple[float, ...], step: Move, tries: int, weight: LogWeight, outcomes: int, inner: Any = "target"
-) -> np.ndarray:
-    """The relative error of each state of a ring, whose step has so many equally likely outcomes of its number."""
-    target, states = ring(f)
-    one = PublishedDeposit(MultipleTry(step, tries, weight), inner)
-    found = enumerate_kernel(one, target, states, [outcomes] * (2 * tries - 1) + [None, None], probes=65)
-    return found.law @ found.deposits / (np.array(f) / sum(f)) - 1
-
-
-def _errors(
-    config: Config, deposit: str, tries: int, target: mcmc1d.Multiplexed, key: Key
-) -> tuple[np.ndarray, float, float]:
-    """The error of each histogram, that of the mean of all, and how far they are from it; total variations."""
+def _errors(config: Config, deposit: str, tries: int, target: mcmc1d.Multiplexed, key: Key) -> tuple[np.ndarray, float]:
+    """The total variation of each histogram from the exact law, and that of the mean of all."""
     edges = np.linspace(0, 1, config.bins + 1)
     masses = target.target.bin_masses(edges)
     exact = masses / masses.sum()
@@ -199,7 +166,7 @@ def _errors(
     blocks = run.sums["x"] * config.repeats / (run.chains * run.steps)
     errors = np.array([total_variation(block, exact) for block in blocks])
     mean = run.mean("x")
-    return errors, total_variation(mean, exact), float(np.mean([total_variation(b, mean) for b in blocks]))
+    return errors, total_variation(mean, exact)
 
 
 def draw(data: xr.Dataset) -> Figure:
@@ -263,10 +230,6 @@ def judge(data: xr.Dataset) -> list[Claim]:
     seen = passed["published"] if only_deposits else None  # a failure that is not the deposits' shows nothing of them
     only = " (its deposits alone)" if only_deposits else ""
     tested = detects(data.gap)
-    three, even = np.abs(data.three.to_numpy()), float(np.abs(data.evenly).max())
-    off = np.abs(data.independent).max("state3")
-    by_f, by_w = (dict(zip(data["lambda"].to_numpy(), off.sel(inner=i).to_numpy(), strict=True)) for i in SHARES)
-    saved = [str(name) for name, one in by_w.items() if one < 1e-12]
     errors = {deposit: data.error.sel(deposit=deposit).to_numpy() for deposit in DEPOSITS}
     left = data.bias.sel(deposit="published", tries=VERIFIED).item()
     means = {deposit: each.mean(-1) for deposit, each in errors.items()}
@@ -285,42 +248,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             f"p = {VERIFIED}: {said['published']}{only}",
             f"enumeration, p = 2; exact to 1e-12; {tested}",
         ),
-        Claim(
-            "cmlt.deposit-three",
-            "With three candidates it is unbiased",
-            f"{SOURCE}, sec. 5.2",
-            "holds" if three.max() < 1e-12 else "fails",
-            "fails",
-            f"a state is off by {three.min():.1%} to {three.max():.1%}",
-            "enumeration, p = 3, an even step; 1e-12",
-        ),
-        Claim(
-            "cmlt.deposit-even",
-            "With a symmetric step whose candidates are chosen evenly, not by f, it is unbiased",
-            f"ours; {SOURCE}, sec. 5.2",
-            "holds" if even < 1e-12 else "fails",
-            "holds",
-            f"a state is off by {even:.0e} at most",
-            "enumeration, p = 3, an even step; 1e-12",
-        ),
-        Claim(
-            "cmlt.deposit-independent",
-            "With an independent proposal it is unbiased",
-            f"ours; {SOURCE}, sec. 5.2",
-            "holds" if min(by_f.values()) < 1e-12 else "fails",
-            "fails",
-            "a state is off by up to " + ", ".join(f"{one:.0%} (lambda {name})" for name, one in by_f.items()),
-            "enumeration on three states, p = 2, g not even; 1e-12",
-        ),
-        Claim(
-            "cmlt.deposit-weights",
-            "With an independent proposal, and shares by the weights w in place of f, it is",
-            f"ours; {SOURCE}, sec. 5.2",
-            f"holds if lambda is {' or '.join(saved)}" if saved else "fails",
-            "holds if lambda is 1 / (g g)",
-            "a state is off by up to " + ", ".join(f"{one:.2g} ({name})" for name, one in by_w.items()),
-            "enumeration on three states, p = 2, g not even; 1e-12",
-        ),
+        *cmlt_deposit_rings.claims(data),
         Claim(
             "cmlt.one-candidate",
             "With one candidate it is",
