@@ -11,7 +11,7 @@ import pytest
 
 CALLS = {
     "run(key, moves.SmallStep, target, steps=1)": "run: the kernel: give an instance, SmallStep(...), not the class",
-    "run(key, 3, target, steps=1)": "run: the kernel must be a Kernel, not a int; give a Kernel or a Move",
+    "run(key, 3, target, steps=1)": "run: the kernel must be a Kernel, not an int; give a Kernel or a Move",
     "trace(key, moves.SmallStep, target, steps=1, chains=1)": "trace: the kernel: give an instance, SmallStep(...)",
     "run(key, move, targets.Sinusoid(), steps=1)": "wrap it: Multiplexed(target, techniques)",
     "trace(key, move, targets.Sinusoid(), steps=1, chains=1)": "wrap it: Multiplexed(target, techniques)",
@@ -51,10 +51,10 @@ CALLS = {
     "moves.MultipleTry(move, candidates=moves.Stratified)": "the candidates: give an instance, Stratified(...)",
     "tempering.replicas(targets.Ring(), [1.0])": "name another: replicas(target, betas, technique)",
     "flatland.integrators.integrate(key, 'pt', flatland.scenes.scene('box'), lengths=1.5)": "must be a whole number",
-    "flatland.Segment((0, 0), (1, 1), 3)": "Segment: the material must be a Material, not a int",
+    "flatland.Segment((0, 0), (1, 1), 3)": "Segment: the material must be a Material, not an int",
     "flatland.Pinhole(3, (1.0, 0.0))": "Pinhole: position is a point, two numbers, not 3",
     "flatland.Wall(3)": "Wall: segment is a segment's name, not 3",
-    "flatland.Scene('a', [3], flatland.Wall('b'))": "scene a: segment 0 must be a Segment, not a int",
+    "flatland.Scene('a', [3], flatland.Wall('b'))": "scene a: segment 0 must be a Segment, not an int",
     "flatland.Scene('a', [flatland.Segment((0, 0), (1, 1))], 4)": "the sensor must be a Pinhole or a Wall, not 4",
     "verify.verify(move, target, name=3)": "name is a text, not 3",
     "verify.enumerate_kernel(move, target, State([0], [[0.5]]), [0, None])": "an integer of `numbers` must be a whole",
@@ -118,7 +118,12 @@ def said():
 OWNS = {
     call: message
     for text, message in RETURNED.items()
-    for call in (f"Multiplexed(targets.Sinusoid(), own({text!r}))", f"verify.check_technique(own({text!r}))")
+    for call in (
+        f"Multiplexed(targets.Sinusoid(), own({text!r}))",
+        f"verify.check_technique(own({text!r}))",
+        f"techniques.Product((own({text!r}), techniques.Tent()))",
+        f"techniques.Compose((own({text!r}), techniques.Tent()))",
+    )
 }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from mcmc1d.checks import require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.numerics import below_one, is_concrete, require
-from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
+from mcmc1d.techniques.base import Forward, Inverse, Technique, checked_shape, dim_v, sample_shape
 from mcmc1d.types import Array, Corners, Float, Scalar
 
 
@@ -26,7 +26,7 @@ class Compose(Technique):
         self.techniques = tuple(techniques)
         require(len(self.techniques) > 0, "Compose: give one technique at least")
         for technique in self.techniques:
-            require_instance(technique, Technique, "Compose: a technique")
+            checked_shape(require_instance(technique, Technique, "Compose: a technique"))
         for before, after in zip(self.techniques, self.techniques[1:], strict=False):
             low, high = (np.asarray(corner) for corner in before.support) if is_concrete(before) else (0, 1)
             require(

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from mcmc1d.checks import require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.numerics import require
-from mcmc1d.techniques.base import Forward, Inverse, Technique, dim_v, sample_shape
+from mcmc1d.techniques.base import Forward, Inverse, Technique, checked_shape, dim_v, sample_shape
 from mcmc1d.types import Array, Corners, Float, Scalar
 
 
@@ -27,11 +27,10 @@ class Product(Technique):
         self.techniques = tuple(techniques)
         require(len(self.techniques) > 0, "Product: give one technique at least")
         for technique in self.techniques:
-            require_instance(technique, Technique, "Product: a technique")
+            shape = checked_shape(require_instance(technique, Technique, "Product: a technique"))
             require(
-                len(sample_shape(technique)) <= 1,
-                f"Product: a sample is a scalar or of shape (d,); {type(technique).__name__}'s is of shape "
-                f"{sample_shape(technique)}",
+                len(shape) <= 1,
+                f"Product: a sample is a scalar or of shape (d,); {type(technique).__name__}'s is of shape {shape}",
             )
 
     @property

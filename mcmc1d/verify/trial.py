@@ -214,8 +214,8 @@ class Trial:
             numbers, counts = np.unique(values, return_counts=True)
             if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and np.ptp(values) > 0:
                 return (
-                    f"; {counts.max()} of {values.size} draws are {name} = {numbers[np.argmax(counts)]:.6g}: where that "
-                    "is rounding, verify it with jax.enable_x64(True); where the law has an atom, say so by "
+                    f"; {counts.max()} of {values.size} draws are {name} = {numbers[np.argmax(counts)]:.6g}: where "
+                    "that is rounding, verify it with jax.enable_x64(True); where the law has an atom, say so by "
                     "`statistics`, for a cdf is of a continuous law"
                 )
             if values.dtype == np.float32 and np.ptp(values) > 0:
