@@ -22,7 +22,7 @@ from experiments.support.verdict import passes, verdict
 from mcmc1d import verify
 from mcmc1d.moves import AimedJump, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.moves.multiple_try import by_target
-from mcmc1d.planar_histogram import Histogram2D, planar_joint_masses
+from mcmc1d.planar_histogram import Histogram2D
 from mcmc1d.quadrature import integrate_plane
 from mcmc1d.targets import Ring, Target
 from mcmc1d.targets.planar import board
@@ -119,7 +119,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     theory = progress.map("theories", planar_theories.put_to_verify, points)
     edges, coarse = np.linspace(0, 1, config.cells + 1), np.linspace(0, 1, _COARSE + 1)
     masses = {name: target.bin_masses((edges, edges)) for name, target in TARGETS.items()}
-    joint = {name: planar_joint_masses(target, coarse, coarse) for name, target in targets.items()}
+    joint = {name: target.joint_masses((coarse, coarse)) for name, target in targets.items()}
 
     def histogram(k: int) -> tuple[np.ndarray, np.ndarray, float]:
         name, move = CASES[k]

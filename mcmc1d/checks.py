@@ -111,6 +111,16 @@ def rising(edges: np.ndarray, who: str) -> np.ndarray:
     return edges
 
 
+def require_planar_cover(
+    who: str, x_edges: np.ndarray, y_edges: np.ndarray, domain: tuple[Any, Any], name: str
+) -> None:
+    """Raise `ValueError` unless `domain` is a box in the plane, and the cells cover it."""
+    lower, upper = (np.asarray(corner, np.float64) for corner in domain)
+    require(lower.shape == (2,), f"{who}: x must be a point of the plane; {name} has x of shape {lower.shape}")
+    for k, edges in enumerate((x_edges, y_edges)):
+        require_cover(f"{who}, along x[{k}]", edges, (lower[k], upper[k]), name)
+
+
 def require_cover(who: str, edges: np.ndarray, domain: tuple[Any, Any], name: str) -> None:
     """Raise `ValueError` unless bins cover the interval `domain` of what is called `name`."""
     first, last, (lower, upper) = float(edges[0]), float(edges[-1]), (float(end) for end in domain)

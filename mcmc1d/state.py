@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_cover, require_instance, rising, traced
+from mcmc1d.checks import require_cover, require_instance, require_planar_cover, rising, traced
 from mcmc1d.compiling import quickly
 from mcmc1d.numerics import cast, is_concrete, require
-from mcmc1d.quadrature import integrate
+from mcmc1d.quadrature import Outline, integrate, integrate_plane
 from mcmc1d.targets import DensityOf, Target
+from mcmc1d.targets.base import Edges, pair_of_edges
 from mcmc1d.techniques import Family, Several, Technique, checked_shape, sample_shape
+from mcmc1d.techniques.planar import outlines
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 from mcmc1d.weights import Balance, FromFunction, Weights
 
@@ -164,15 +166,25 @@ class Multiplexed(eqx.Module):
         """
         return jnp.where(jnp.isnan(log_f), jnp.inf, self.weights.log_ratio(x, log_p, index, p) + log_f)
 
-    def joint_masses(self, edges: np.ndarray) -> np.ndarray:
+    def joint_masses(self, edges: Edges) -> np.ndarray:
         """The exact law of (technique, x): the integral of w_i f / b over each bin, of shape (n_techniques, bins).
 
-        By adaptive quadrature, split where f, p and w are known to jump; its sum over the techniques is the law of
-        x, which `target.bin_masses` gives independently.
+        In the plane `edges` are a pair (x_edges, y_edges), and the shape is (n_techniques, nx, ny). By adaptive
+        quadrature, split where f, p and w are known to jump; its sum over the techniques is the law of x, which
+        `target.bin_masses` gives independently. Raises `ValueError` where the bins do not cover the domain, and where
+        1e-11 of the whole (1e-10 in the plane) is out of reach: for a jump that no `breaks` and no `outline` names.
         """
-        edges = rising(edges, "joint_masses")
-        require_cover("joint_masses", edges, self.target.domain, type(self.target).__name__)
-        masses = integrate(Shares(self), edges, self.breaks)[0].T
+        who, domain, name = "joint_masses", self.target.domain, type(self.target).__name__
+        if np.ndim(domain[0]) == 0:
+            edges = rising(edges, who)
+            require_cover(who, edges, domain, name)
+            masses = integrate(Shares(self), edges, self.breaks)[0].T
+            return masses / masses.sum()
+        x_edges, y_edges = (rising(part, who) for part in pair_of_edges(edges, who))
+        require_planar_cover(who, x_edges, y_edges, domain, name)
+        known = [self.target.outline, Outline.box(*domain)]
+        known += [outline for technique in self.techniques for outline in outlines(technique)]
+        masses = np.moveaxis(integrate_plane(Shares(self), x_edges, y_edges, known)[0], -1, 0)
         return masses / masses.sum()
 
 

@@ -8,10 +8,10 @@ import pytest
 import mcmc1d
 from mcmc1d.moves import AimedJump, Mixture, MultipleTry, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.moves.multiple_try import by_target
-from mcmc1d.planar_histogram import Histogram2D, planar_joint_masses
-from mcmc1d.targets import Ring, Sinusoid
+from mcmc1d.planar_histogram import Histogram2D
+from mcmc1d.targets import Ring
 from mcmc1d.targets.planar import board
-from mcmc1d.techniques import ConcentricDisk, MarginalConditional, PolarDisk, Tent, Triangle
+from mcmc1d.techniques import ConcentricDisk, MarginalConditional, PolarDisk, Triangle
 from mcmc1d.verify import verify
 from mcmc1d.verify.mutants.jumps import no_jacobian
 
@@ -30,10 +30,10 @@ def both(jump):
 
 def test_joint_masses_sum_to_the_law_of_x_and_weigh_it():
     target = mcmc1d.Multiplexed(Ring(), (TABLE, DISK, LEANING))
-    joint, x = planar_joint_masses(target, EDGES, EDGES), target.target.bin_masses((EDGES, EDGES))
+    joint, x = target.joint_masses((EDGES, EDGES)), target.target.bin_masses((EDGES, EDGES))
     np.testing.assert_allclose(joint.sum(0), x / x.sum(), rtol=0, atol=1e-12)
     few = (EDGES[[0, 3, 8]], EDGES[[0, 5, 8]])
-    coarse = planar_joint_masses(target, *few)
+    coarse = target.joint_masses(few)
     again = np.add.reduceat(np.add.reduceat(joint, [0, 3], axis=1), [0, 5], axis=2)
     np.testing.assert_allclose(coarse, again, rtol=0, atol=1e-10)
 
@@ -61,7 +61,7 @@ def test_what_a_run_adds_up_converges_to_the_exact_masses():
 
     Its own twin: the masses turned about are far off.
     """
-    joint = planar_joint_masses(TARGET, EDGES, EDGES[::2])
+    joint = TARGET.joint_masses((EDGES, EDGES[::2]))
     fine = np.linspace(0, 1, 65)
     masses = TARGET.target.bin_masses((fine, fine))
     mean = masses.sum(1) @ (fine[1:] + fine[:-1]) / 2 / masses.sum()
@@ -86,8 +86,8 @@ def test_what_a_run_adds_up_converges_to_the_exact_masses():
     ("make", "message"),
     [
         (lambda: Histogram2D([0, 1], [1, 0]), "y_edges: the edges must rise"),
-        (lambda: planar_joint_masses(TARGET, EDGES[1:], EDGES), "do not cover the domain"),
-        (lambda: planar_joint_masses(mcmc1d.Multiplexed(Sinusoid(), Tent()), EDGES, EDGES), "a point of the plane"),
+        (lambda: TARGET.joint_masses((EDGES[1:], EDGES)), "do not cover the domain"),
+        (lambda: TARGET.joint_masses(EDGES), "edges are a pair"),
         (
             lambda: Histogram2D([0, 0.5], [0, 1]).init(TARGET, mcmc1d.Metropolis(SmallStep()), jnp.float32),
             "extend the edges",

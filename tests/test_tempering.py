@@ -11,7 +11,6 @@ from mcmc1d import tempering, weights
 from mcmc1d.metropolis import OfMove
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.moves.exchange import CoordinateStep, Exchange, ReplicaStep
-from mcmc1d.planar_histogram import planar_joint_masses
 from mcmc1d.pooled import Floored, Pooled, PooledDeposit, floored, integral, pooled, samples
 from mcmc1d.targets import Banana, FromFunction, Sinusoid, Tabulated
 from mcmc1d.targets.planar import two_ridges
@@ -161,7 +160,7 @@ def test_the_rungs_of_a_planar_ladder_are_equally_likely():
     f = Banana()  # of sides that differ
     ladder = tempering.ladder(f, [1.0, 0.3, 0.0], Rectangle(f.lower, f.upper))
     edges = [np.linspace(a, b, 3) for a, b in zip(f.lower, f.upper, strict=True)]
-    shares = planar_joint_masses(ladder, *edges).sum((1, 2))
+    shares = ladder.joint_masses(edges).sum((1, 2))
     assert np.allclose(shares, 1 / 3, atol=1e-9)
     with pytest.raises(ValueError, match="on the line and in the plane"):
         tempering.even_log_prior(tempering.Replicas(SINUSOID, [1.0]), [1.0])

@@ -11,7 +11,6 @@ import numpy as np
 from mcmc1d.chain import exact_start
 from mcmc1d.compiling import quickly
 from mcmc1d.numerics import require
-from mcmc1d.planar_histogram import planar_joint_masses
 from mcmc1d.state import Multiplexed, State
 
 Position: TypeAlias = Any
@@ -211,7 +210,7 @@ def _planar(target: Multiplexed) -> dict[str, Statistic]:
     statistics["x[0], x[1]"] = PlanarBins(*edges(side), coarse).statistic()
     if target.n_techniques > 1:
         try:
-            joint = planar_joint_masses(target, *edges(joint_side))
+            joint = target.joint_masses(edges(joint_side))
         except ValueError:
             return statistics
         statistics["index, x[0], x[1]"] = PlanarBins(*edges(joint_side), joint).statistic()
