@@ -14,7 +14,7 @@ from rich.table import Table
 from experiments.support.framework import Claim
 from experiments.support.intervals import DECIDES, Ratio, geometric, half, over, ratio, shown, under
 from experiments.support.multistage_line import claims as line_claims
-from experiments.support.multistage_line import measure
+from experiments.support.multistage_line import measure, plugged_limit
 from experiments.support.scenes import glints, room, walk
 from experiments.support.stage_methods import BRIGHT, DARK, METHODS, PAPER, render
 from experiments.support.sweep import Sweep
@@ -149,6 +149,8 @@ def draw(data: xr.Dataset) -> Figure:
         style = {"fmt": "o-", "markersize": 3, "capsize": 2, "linewidth": 0.9}
         axes[0].errorbar(data.samples, here.mean("seed"), 3 * spread, color=colour, label=f"b {b}", **style)
     axes[0].axhline(0, color="0.5", linewidth=0.5)
+    limit = 100 * plugged_limit(data.sizes["line_pixel"])
+    axes[0].axhline(limit, color=colours["plugged"], linewidth=0.7, linestyle=":", label="its limit")
     axes[0].set(xscale="log", xlabel="samples N", ylabel="bias of the whole image (%)", title="induction, 3 s.e.")
     axes[0].set_xticks(data.samples.to_numpy(), [str(n) for n in data.samples.to_numpy()])
     axes[0].minorticks_off()
