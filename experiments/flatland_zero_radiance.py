@@ -100,7 +100,7 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> list[li
     own = jax.random.fold_in(key, len(rows))
     ran = films("chains", own, kernel, target, paths, config.runs, [config.mutations], {METHODS[0]: Lit(config.runs)})
     each = 1 - ran.sums[METHODS[0]] / config.mutations
-    return [*rows, [float(each.mean()), float(sem(each, axis=None))]]
+    return [*rows, [float(each.mean()), float(sem(each.ravel()))]]
 
 
 def _lit(key: Key, target: Pooled, samples: int) -> float:

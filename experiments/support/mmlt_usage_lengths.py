@@ -13,9 +13,10 @@ from experiments.support.each_chain import EachHistogram
 from experiments.support.framework import Claim
 from experiments.support.intervals import DECIDES, over, ratio, shown, under
 from experiments.support.verdict import verdict
+from mcmc1d.compiling import quickly
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import LargeStep, Mixture, Move, SmallStep, StepAndChange
-from mcmc1d.state import Multiplexed
+from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import FromFunction, Target
 from mcmc1d.techniques import Uniform
 from mcmc1d.tempering import over_parts
@@ -99,27 +100,32 @@ def normalisers(key: Key, edges: np.ndarray, repeats: int) -> dict[str, Any]:
     """
     masses = np.stack([length.bin_masses(edges) for length in LENGTHS])
     exact = masses.sum(0)
-    own = [Multiplexed(length, Uniform()) for length in LENGTHS]
-
-    def estimated(target: Multiplexed, samples: int, of: int, times: int) -> np.ndarray:
-        keys = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, of), samples), times)
-        return np.array([mcmc1d.normalisation(one, target, samples).value for one in keys])
-
-    errors = np.zeros((2, len(CHECKPOINTS), repeats))
-    first = [estimated(target, FIRST, k, repeats) for k, target in enumerate(own)]
-    for i, steps in enumerate(CHECKPOINTS):
-        images = np.zeros((2, repeats, len(exact)))
-        for k, target in enumerate(own):
-            chains = histograms(jax.random.fold_in(key, 100 + k), _alone(), target, edges, steps, repeats)
-            b = np.stack([first[k], estimated(target, steps, k, repeats)])
-            images += b[..., None] * chains
-        errors[:, i] = np.sqrt(np.mean((images - exact) ** 2, axis=-1)) / exact.mean()
-    missed = [(estimated(own[-1], samples, 50, MISSES) == 0).mean() for samples in CHECKPOINTS[:2]]
+    images = np.zeros((2, len(CHECKPOINTS), repeats, len(exact)))
+    for k, length in enumerate(LENGTHS):
+        target, (b_key, chain_key) = Multiplexed(length, Uniform()), jax.random.split(jax.random.fold_in(key, k))
+        b = np.asarray(_estimates(b_key, target, repeats, CHECKPOINTS))
+        for i, steps in enumerate(CHECKPOINTS):
+            chains = histograms(chain_key, _alone(), target, edges, steps, repeats)
+            images[:, i] += np.stack([b[0], b[i]])[..., None] * chains
+    rare = Multiplexed(LENGTHS[-1], Uniform())
+    early = np.asarray(_estimates(jax.random.fold_in(key, len(LENGTHS)), rare, MISSES, CHECKPOINTS[:2]))
     return {
-        "image_error": (("estimate", "samples", "repeat"), errors),
-        "missed": ("early", missed),
+        "image_error": (
+            ("estimate", "samples", "repeat"),
+            np.sqrt(np.mean((images - exact) ** 2, axis=-1)) / exact.mean(),
+        ),
+        "missed": ("early", (early == 0).mean(1)),
         "miss_predicted": ("early", [0.98**samples for samples in CHECKPOINTS[:2]]),
     }
+
+
+@quickly
+def _estimates(key: Key, target: Multiplexed, repeats: int, checkpoints: tuple[int, ...]) -> jax.Array:
+    """b_k by so many of the same independent samples, the mean of C(u), (checkpoints, repeats)."""
+    u = jax.random.uniform(key, (repeats, checkpoints[-1], target.dim_u))
+    index = jnp.zeros(u.shape[:2], jnp.int32)
+    log_c = jax.vmap(jax.vmap(target.evaluate))(State(index, u)).seen.log_c
+    return jnp.stack([jnp.exp(log_c[:, :count]).mean(1) for count in checkpoints])
 
 
 def _alone() -> Move:
