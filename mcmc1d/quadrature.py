@@ -58,10 +58,10 @@ def integrate(
             )
     endless = ~np.isfinite(result.estimate.reshape(len(a), -1)).all(1)
     if endless.any():
-        k = int(np.argmax(endless))
+        k = int(np.searchsorted(edges, a[np.argmax(endless)], side="right")) - 1
         raise ValueError(
-            f"integrate: the function is unbounded in [{a[k]:.6g}, {b[k]:.6g}], and its integral there is infinite or "
-            "can not be told; cut the pole off, or move it to x = 0, where floats are dense, if it is integrable"
+            f"integrate: the function is unbounded in [{edges[k]:.6g}, {edges[k + 1]:.6g}], and its integral there is "
+            "infinite or can not be told; cut the pole off, or move it to x = 0, where floats are dense, if it is integrable"
         )
     require(
         result.status == "converged",

@@ -211,6 +211,10 @@ class Trial:
     def _coarse(self) -> str:
         """A word on draws that are the same number, or so far from zero that their floats are coarse."""
         for name, values in coordinates(self.unlikely).items():
+            if values.dtype == np.float32 and np.ptp(values) > 0:
+                step = float(np.spacing(np.abs(values).max()))
+                if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):
+                    return f"; in float32 {name} has steps of {step:.2g}: verify it with jax.enable_x64(True)"
             numbers, counts = np.unique(values, return_counts=True)
             if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and np.ptp(values) > 0:
                 return (
@@ -218,10 +222,6 @@ class Trial:
                     "that is rounding, verify it with jax.enable_x64(True); where the law has an atom, say so by "
                     "`statistics`, for a cdf is of a continuous law"
                 )
-            if values.dtype == np.float32 and np.ptp(values) > 0:
-                step = float(np.spacing(np.abs(values).max()))
-                if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):
-                    return f"; in float32 {name} has steps of {step:.2g}: verify it with jax.enable_x64(True)"
         return ""
 
     def forget(self) -> None:

@@ -170,8 +170,8 @@ WRONG = {
     "no position": ("position = [3.5, 1.5]", "", 20, "the pinhole sensor lacks 'position': add position = ..., two "
         "numbers [x, y]"),
     "unknown material": ('"grey"', '"gray"', 11, "there is no material 'gray'; did you mean 'grey'? known: lamp, grey"),
-    "negative emission": ("emission = 2", "emission = -2", 4, "material 'lamp': emission must not be negative or "
-        "infinite: -2.0"),
+    "negative emission": ("emission = 2", "emission = -2", 4, "material 'lamp': emission must be finite and not "
+        "negative: -2.0"),
     "no number": ("emission = 2", "emission = nan", 4, "material 'lamp': emission must be finite and not negative"),
     "exponent of 0": ("exponent = 30", "exponent = 0", 7, "material 'grey': exponent must be a whole number from 1"),
     "reflectance over 1": ("exponent = 30", "mirror = 0.7", 5, "material 'grey': the reflectances lambert + glossy + "
