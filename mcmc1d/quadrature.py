@@ -61,7 +61,8 @@ def integrate(
         k = int(np.searchsorted(edges, a[np.argmax(endless)], side="right")) - 1
         raise ValueError(
             f"integrate: the function is unbounded in [{edges[k]:.6g}, {edges[k + 1]:.6g}], and its integral there is "
-            "infinite or can not be told; cut the pole off, or move it to x = 0, where floats are dense, if it is integrable"
+            "infinite or can not be told; cut the pole off, or move it to x = 0, where floats are dense, if it is "
+            "integrable"
         )
     require(
         result.status == "converged",
