@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import Run
+from mcmc1d.checks import require_key, require_whole
 from mcmc1d.estimators import Estimator, add_deposits
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
@@ -64,6 +65,8 @@ def independent(key: Key, target: Multiplexed, samples: int) -> Picture:
     light = target.target
     require(isinstance(light, Light), f"independent: the target must be flatland's Light, not {type(light).__name__}")
     assert isinstance(light, Light)
+    require_key(key, "independent")
+    require_whole(samples, "independent: samples")
     found = exposed(key, target, light.paths, samples, np.inf)
     pixels = light.paths.sensor.pixels
     return Picture(pixels * found.mean, pixels * found.error)

@@ -56,14 +56,15 @@ class Moments(Estimator):
             (moved, deposits.weight * jnp.exp(-log_s)),
             (here, jnp.exp(seen.log_c[None] - 2 * log_here)),
             (here, per),
-            (moved, deposits.weight * jnp.exp(-2 * log_s)),
         )
 
         def added(k: int, x: Array, weight: Array) -> Array:
             step = eqx.tree_at(lambda s: (s.deposits.x, s.deposits.weight), steps, (x, weight))
             return film.update(sums[k], step)
 
-        return jnp.stack([added(k, x, weight) for k, (x, weight) in enumerate(rows)])
+        made = [added(k, x, weight) for k, (x, weight) in enumerate(rows)]
+        plain = self.shader is None  # then s is 1, and the last row the second
+        return jnp.stack([*made, made[1] if plain else added(4, moved, deposits.weight * jnp.exp(-2 * log_s))])
 
     def _log_shader(self, x: Float[Array, "n ... c"]) -> Float[Array, "n c"]:
         if self.shader is None:
