@@ -243,7 +243,7 @@ def _between(density: _Density, cuts: np.ndarray) -> tuple[float, float, float]:
     """
     with jax.enable_x64(True):
         values = by_chunks(quickly(eqx.filter_vmap(cast(density, jnp.float64))), 2**12)
-    cuts = np.union1d(cuts, around_the_sharpest(values, cuts[0], cuts[-1]))
+        cuts = np.union1d(cuts, around_the_sharpest(values, cuts[0], cuts[-1]))
     ends = np.concatenate([cuts[:-1], cuts[1:]])
     half = np.concatenate([np.diff(cuts), -np.diff(cuts)]) / 2
     tiny = np.finfo(np.float64).tiny  # what XLA does not flush to zero
