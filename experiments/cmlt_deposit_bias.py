@@ -285,7 +285,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "holds",
             "; ".join(f"{d}: " + ", ".join(f"{e:.4f}" for e in one) for d, one in means.items())
             + f"; of the published one {left:.3f} is bias at p = {VERIFIED}",
-            f"TV of a histogram from the exact law, p = {', '.join(map(str, data.tries.to_numpy()))}; a tenth; intervals "
-            f"of {data.sizes['repeat']} of them, which miss with {DECIDES:.0e}",
+            f"TV of a histogram from the exact law, p = {', '.join(map(str, data.tries.to_numpy()))}; a tenth; "
+            f"intervals of {data.sizes['repeat']} of them, which miss with {DECIDES:.0e}",
         ),
     ]
