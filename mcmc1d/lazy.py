@@ -103,6 +103,7 @@ class LazySampler(eqx.Module):
     def init(self, w: Float[Array, " r"]) -> LazyState:
         """The state before the first evaluation: a large step under way in iteration 0, nothing read yet.
 
+        `w`: four uniform numbers for each component.
         The book fills gaps with zeros of time stamp 0. Then a number first read in a later iteration does not precede
         the large step of iteration 0, and takes its steps from 0 instead of from a uniform number; `NEVER` precedes.
         """
@@ -112,7 +113,7 @@ class LazySampler(eqx.Module):
         return LazyState(values, stamps, values, stamps, zero, zero, large, zero, zero, w.reshape(-1, 4))
 
     def start_iteration(self, state: LazyState, w: Float[Array, " r"]) -> LazyState:
-        """Begin a proposal: a large step or a small one; reading begins at the first stream."""
+        """Begin a proposal, large or small, reading from the first stream; `w`: four numbers a component, and one."""
         zero = jnp.zeros_like(state.place)
         return eqx.tree_at(
             lambda s: (s.iteration, s.large, s.stream, s.place, s.w),
@@ -205,7 +206,7 @@ class LazyInfo(eqx.Module):
 
 
 def start(sampler: LazySampler, contribution: Contribution, w: Float[Array, " r"]) -> LazyChain:
-    """A chain at independent uniform numbers: iteration 0, which is a large step; a bootstrap sample."""
+    """A chain at independent uniform numbers, four a component: iteration 0, a large step; a bootstrap sample."""
     log_f, sample, samples = contribution(sampler, sampler.init(w))
     return LazyChain(sampler.accept(samples), log_f, sample)
 
@@ -213,10 +214,11 @@ def start(sampler: LazySampler, contribution: Contribution, w: Float[Array, " r"
 def step(
     sampler: LazySampler, contribution: Contribution, chain: LazyChain, w: Float[Array, " r"]
 ) -> tuple[LazyChain, LazyInfo]:
-    """One Metropolis iteration; both kinds of step are symmetric, so the ratio is that of f."""
+    """One Metropolis iteration of `dim_w` numbers; both kinds of step are symmetric, so the ratio is that of f."""
     log_f, sample, proposed = contribution(sampler, sampler.start_iteration(chain.samples, w[:-1]))
     log_f = jnp.where(jnp.isnan(log_f), jnp.inf, log_f)  # no law is defined: the chain stays there, to be found
-    a = acceptance(_state(chain.samples, chain.log_f), Proposal(_state(proposed, log_f), proposed.value, 0 * log_f))
+    proposal = Proposal(_state(proposed, log_f), proposed.value, jnp.zeros_like(log_f))
+    a = acceptance(_state(chain.samples, chain.log_f), proposal)
     accepted = w[-1] < a
 
     def choose(yes: Any, no: Any) -> Any:

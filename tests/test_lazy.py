@@ -170,6 +170,21 @@ def test_bad_input(make, message):
         make()
 
 
+def undefined(sampler, state):
+    u, state = sampler.get(state)
+    return jnp.where(u < 0.2, jnp.nan, jnp.log1p(u)), u, state
+
+
+def test_a_chain_stays_where_no_law_is_defined():
+    """It was rejected silently, and what the others made looked like a picture."""
+    sampler = LazySampler(1, large_step=0.5)
+    w = np.random.default_rng(0).random((64, sampler.dim_w), np.float32)
+    chain = lazy.start(sampler, undefined, jnp.full(4, 0.5, jnp.float32))
+    for row in jnp.asarray(w):
+        chain, _ = lazy.step(sampler, undefined, chain, row)
+    assert np.isposinf(chain.log_f)
+
+
 def test_reading_beyond_the_capacity_is_an_error():
     sampler = LazySampler(1)
     with pytest.raises(Exception, match="more than dims=1"):
