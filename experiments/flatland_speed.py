@@ -23,8 +23,9 @@ from mcmc1d.flatland.integrators import INTEGRATORS, Integrator
 from mcmc1d.flatland.integrators.chains import EachChain, Metropolised
 from mcmc1d.flatland.sampling import exposed
 from mcmc1d.flatland.scenes import scene
-from mcmc1d.numerics import cast, stratum
+from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
+from mcmc1d.starts import uniform_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
 
@@ -104,8 +105,7 @@ def work_of(make: Integrator, target: Multiplexed, paths: Paths) -> float:
 
     def sample(key: Key) -> Array:
         numbers = uniforms(key, 0, (target.dim_u + 1, _LANES), dtype)
-        index = stratum(numbers[0], target.n_techniques)
-        seen = looked(target.evaluate)(State(index, numbers[1:])).seen
+        seen = uniform_states(target, numbers[0], numbers[1:]).seen
         light = jnp.where(looked(paths.pixel)(seen.x) == jnp.arange(paths.sensor.pixels)[:, None], seen.log_c, 0)
         return jnp.exp(light[0]) + light.sum(0) + (light * light).sum(0)
 

@@ -65,7 +65,12 @@ class Image(Estimator):
         # No chain stands where I is zero; a deposit there, of weight zero, stands for nothing.
         z = jnp.where(jnp.isneginf(log_i), 0, jnp.exp(log_f - log_i))
         per = jnp.exp(jnp.minimum(-log_i, 30))  # or a tail overflows; `Film.variance` has more to say of it
-        return weight * jnp.stack([jnp.ones_like(z), z, z * jnp.exp(log_f), per, z * z])
+        return weight * film_row(z, jnp.exp(log_f), per)
+
+
+def film_row(z: Float[Array, "..."], f: Float[Array, "..."], per: Float[Array, "..."]) -> Float[Array, "... 5"]:
+    """The columns of `Film`, of samples of z = f / I, with `per` = 1 / I: 1, z, z f, 1 / I, z^2."""
+    return jnp.stack([jnp.ones_like(z), z, z * f, per, z * z], -1)
 
 
 class Film(eqx.Module):

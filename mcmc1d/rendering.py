@@ -13,19 +13,21 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.checks import require_key, require_whole
 from mcmc1d.image import Film, Image
 from mcmc1d.importance import Product, Regions, require_importance
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
-from mcmc1d.numerics import require, stratum
+from mcmc1d.numerics import cast, require
 from mcmc1d.pixels import Pixels, masses, resample
 from mcmc1d.quadrature import midpoints
 from mcmc1d.random import uniforms
 from mcmc1d.stages import Stage
+from mcmc1d.starts import uniform_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Target
 from mcmc1d.techniques import Technique
-from mcmc1d.types import Array, Float, Index, Int, Key, Scalar
+from mcmc1d.types import Array, Float, Int, Key
 
 NORMALISERS = ("exact", "apart", "plugged")
 """Where b_I comes from: exact masses; independent samples of the stage's own; the image so far, as Algorithm 2 says."""
@@ -41,6 +43,7 @@ class Rendered(NamedTuple):
     work: float
     """Evaluations of f by each: steps, and samples for b where it was estimated apart."""
     acceptance: np.ndarray
+    """(replicas,), the mean of all steps; NaN of independent samples."""
 
 
 class Scene(eqx.Module):
@@ -103,7 +106,8 @@ class Renderer(eqx.Module):
     def __init__(self, scene: Scene, kernel: Kernel | Move, replicas: int, chains: int = 4):
         """`kernel`: or a move, which `Metropolis` then accepts."""
         self.scene, self.kernel = scene, as_kernel(kernel, "Renderer: the kernel")
-        require(replicas >= 1 and chains >= 1, f"Renderer: one replica and chain at least, not {replicas}, {chains}")
+        require_whole(replicas, "Renderer: replicas")
+        require_whole(chains, "Renderer: chains")
         self.replicas, self.chains = replicas, chains
         self.kernel.check(scene.target)
 
@@ -114,7 +118,11 @@ class Renderer(eqx.Module):
 
         `b`: see `NORMALISERS`; of f itself, in the first stage, there is nothing to plug in, and it is estimated
         apart. `apart`: the independent samples that such an estimate spends, per sample of the stage.
+
+        Raises `ValueError` where in a stage the importance function is NaN, infinite, negative, has more regions than
+        the image has pixels, integrates to zero, or is too narrow for exact starts by rejection.
         """
+        require_key(key, "render")
         require(b in NORMALISERS, f'render: b must be "exact", "apart" or "plugged", not {b!r}')
         film, work, accepted, steps_done = None, 0.0, np.zeros(self.replicas), 0
         for s, stage in enumerate(stages):
@@ -139,11 +147,6 @@ class Renderer(eqx.Module):
                 bool(np.all(np.asarray(normaliser) > 0)),
                 f"render: in stage {s} b, the integral of the importance function, is zero for some replica: there is "
                 "nothing to sample",
-            )
-            require(
-                steps * self.chains <= 2**24,
-                f"render: stage {s} has {steps * self.chains} samples a replica, and float32 sums take 2^24; ask for "
-                "more stages or replicas",
             )
             more, rate = self._stage(stage_key, values, k, normaliser, steps)
             film = more if film is None else film.plus(more)
@@ -184,17 +187,24 @@ class Renderer(eqx.Module):
     def _stage(self, key: Key, values: np.ndarray, k: int, b: np.ndarray, steps: int) -> tuple[Film, np.ndarray]:
         keys = jax.random.split(key, self.replicas)
         sums, rate, _ = self._exposed(keys, self._padded(values), _whole(k), steps, None)
-        return Film.of(sums, b, steps * self.chains), np.asarray(rate, np.float64)
+        return Film.of(sums, b, steps * self.chains), rate
 
     def _exposed(
-        self, keys: Array, values: Array, regions: Array, steps: int, begin: State | None
-    ) -> tuple[Float[Array, "r n 5"], Float[Array, " r"], State]:
-        sums, rate, state, faults = _expose(
-            keys, self.scene, self.kernel, values, regions, self.chains, _whole(steps), begin
-        )
-        fault = int(np.max(faults))
-        require(fault == 0, f"render: {_FAULTS.get(fault)}")
-        return sums, rate, state
+        self, keys: Array, values: Array, regions: Array, steps: int, state: State | None
+    ) -> tuple[Float[np.ndarray, "r n 5"], Float[np.ndarray, " r"], State]:
+        """The film's sums, the mean acceptance and the last states; from exact starts, unless there are states."""
+        if state is None:
+            state, faults = _start(keys, self.scene, values, regions, self.chains)
+            fault = int(np.max(faults))
+            require(fault == 0, f"render: {_FAULTS.get(fault)}")
+        sums, accepted = np.zeros(()), np.zeros(())
+        for first in range(0, steps, _STEPS_PER_DRAIN):
+            count = min(_STEPS_PER_DRAIN, steps - first)
+            more, rate, state = _expose(
+                keys, self.scene, self.kernel, values, regions, state, _whole(first), _whole(count)
+            )
+            sums, accepted = sums + np.asarray(more, np.float64), accepted + np.asarray(rate, np.float64)
+        return sums, accepted / steps, state
 
     def _apart(self, key: Key, values: np.ndarray, k: int, count: int) -> np.ndarray:
         """The integral of I from `count` independent samples of each replica."""
@@ -209,9 +219,11 @@ class Renderer(eqx.Module):
         extra = self.scene.pixels.side - values.shape[-1]
         require(extra >= 0, f"render: a stage has {values.shape[-1]} regions a side, more than the image has pixels")
         pad = [(0, 0)] + [(0, extra)] * self.scene.pixels.dim
-        return jnp.asarray(np.pad(values, pad, constant_values=1.0), jnp.float32)
+        return jnp.asarray(np.pad(values, pad, constant_values=1.0))
 
 
+_STEPS_PER_DRAIN = 2**9
+"""A float32 sum must not grow so large that the deposits of constant weight are all rounded alike."""
 _ATTEMPTS = 2**18
 """Candidates for each exact start, at most."""
 _NOT_FINITE, _TOO_NARROW = 1, 2
@@ -228,55 +240,60 @@ def _whole(number: int) -> Array:
 
 
 @eqx.filter_jit
+def _start(keys: Array, scene: Scene, values: Array, regions: Array, chains: int) -> tuple[State, Int[Array, " r"]]:
+    """Exact draws for the chains of every replica, and what is at fault with each replica's."""
+    dtype = jnp.zeros(()).dtype
+    scene, values = cast((scene, values), dtype)
+
+    def one(key: Key, values: Array) -> tuple[State, Array]:
+        _, target = scene.multiplexed(values, regions)
+        return _exact_starts(jax.random.split(key)[0], target, chains, dtype)
+
+    return jax.vmap(one)(keys, values)
+
+
+@eqx.filter_jit
 def _expose(
     keys: Array,
     scene: Scene,
     kernel: Kernel,
     values: Array,
     regions: Array,
-    chains: int,
-    steps: Array,
-    begin: State | None,
-) -> tuple[Float[Array, "r n 5"], Float[Array, " r"], State, Int[Array, " r"]]:
-    """`steps` steps of the chains of every replica: the film's sums, the mean acceptance, the last states, the faults.
+    begin: State,
+    first: Array,
+    count: Array,
+) -> tuple[Float[Array, "r n 5"], Float[Array, " r"], State]:
+    """`count` steps from step `first` on of every replica's chains: the film's sums, acceptances, the last states."""
+    dtype = jnp.zeros(()).dtype
+    scene, kernel, values = cast((scene, kernel, values), dtype)
 
-    From exact starts, unless states to begin with are given.
-    """
-
-    def one(key: Key, values: Array, begin: State | None) -> tuple[Array, Array, State, Array]:
+    def one(key: Key, values: Array, begin: State) -> tuple[Array, Array, State]:
         importance, target = scene.multiplexed(values, regions)
-        estimator = Image(scene.f, importance, scene.pixels)
-        start_key, step_key = jax.random.split(key)
-        found = _exact_starts(start_key, target, chains) if begin is None else (begin, jnp.zeros((), jnp.int32))
-        state, fault = found
+        estimator, step_key = Image(scene.f, importance, scene.pixels), jax.random.split(key)[1]
 
         def body(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
             state, sums, accepted = carry
-            w = uniforms(step_key, k, (kernel.dim_w(target), chains), jnp.float32)
+            w = uniforms(step_key, first + k, (kernel.dim_w(target), begin.u.shape[-1]), dtype)
             step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
             return step.state, estimator.update(sums, step), accepted + step.info.acceptance.mean()
 
-        zero = jnp.zeros((scene.pixels.count, 5), jnp.float32)
-        begun = jax.vmap(target.evaluate, out_axes=-1)(state)
-        last, sums, accepted = jax.lax.fori_loop(0, steps, body, (begun, zero, jnp.zeros(())))
-        return sums, accepted / steps, State(last.index, last.u.T), fault
+        zero = jnp.zeros((scene.pixels.count, 5), dtype)
+        begun = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(begin)
+        last, sums, accepted = jax.lax.fori_loop(0, count, body, (begun, zero, jnp.zeros((), dtype)))
+        return sums, accepted, State(last.index, last.u)
 
     return jax.vmap(one)(keys, values, begin)
 
 
-def _exact_starts(key: Key, target: Multiplexed, chains: int) -> tuple[State, Int[Array, ""]]:
+def _exact_starts(key: Key, target: Multiplexed, chains: int, dtype: Any) -> tuple[State, Int[Array, ""]]:
     """Exact draws by rejection, as `starts.exact_start`: under the largest density of a grid with a quarter to spare.
 
-    Should a candidate exceed that, the bound is raised and everything is drawn again. Also what is at fault, of
-    `_FAULTS`, or 0.
+    Should a candidate exceed that, the bound is raised and everything is drawn again. The last axis counts the states.
+    Also what is at fault, of `_FAULTS`, or 0.
     """
     probes = 1024 if target.dim_u == 1 else 4096
-    grid = jnp.asarray(midpoints(np.zeros(target.dim_u), np.ones(target.dim_u), probes), jnp.float32)
-
-    def log_c(index: Index, u: Array) -> Scalar:
-        return target.evaluate(State(index, u)).seen.log_c
-
-    everywhere = [jax.vmap(partial(log_c, jnp.asarray(i, jnp.int32)))(grid).max() for i in range(target.n_techniques)]
+    grid = jnp.asarray(midpoints(np.zeros(target.dim_u), np.ones(target.dim_u), probes), dtype).T
+    everywhere = [uniform_states(target, grid[0], grid, i).seen.log_c.max() for i in range(target.n_techniques)]
     bound = jnp.max(jnp.stack(everywhere)) + jnp.log(1.25)
 
     def unfinished(carry: tuple[Array, State, Array, Array, Array]) -> Array:
@@ -285,17 +302,17 @@ def _exact_starts(key: Key, target: Multiplexed, chains: int) -> tuple[State, In
 
     def draw(carry: tuple[Array, State, Array, Array, Array]) -> tuple[Array, State, Array, Array, Array]:
         attempt, state, done, bound, finite = carry
-        w = uniforms(key, attempt, (target.dim_u + 2, chains), jnp.float32)
-        fresh = State(stratum(w[0], target.n_techniques), w[2:].T)
-        density = jax.vmap(log_c)(fresh.index, fresh.u)
+        w = uniforms(key, attempt, (target.dim_u + 2, chains), dtype)
+        fresh = uniform_states(target, w[0], w[2:])
+        density = fresh.seen.log_c
         kept = ~done & (jnp.log(w[1]) < density - bound)
         exceeded = density.max() > bound
-        state = State(jnp.where(kept, fresh.index, state.index), jnp.where(kept[:, None], fresh.u, state.u))
+        state = State(jnp.where(kept, fresh.index, state.index), jnp.where(kept, fresh.u, state.u))
         bound = jnp.where(exceeded, density.max() + jnp.log(1.25), bound)
         finite = finite & jnp.all(density < jnp.inf)  # which a NaN is not
         return attempt + 1, state, (done | kept) & ~exceeded, bound, finite
 
-    nothing = State(jnp.zeros(chains, jnp.int32), jnp.zeros((chains, target.dim_u)))
+    nothing = State(jnp.zeros(chains, jnp.int32), jnp.zeros((target.dim_u, chains), dtype))
     start = (jnp.zeros((), jnp.int32), nothing, jnp.zeros(chains, bool), bound, bound < jnp.inf)
     _, state, done, _, finite = jax.lax.while_loop(unfinished, draw, start)
     narrow = jnp.where(jnp.all(done), 0, _TOO_NARROW)
@@ -305,12 +322,12 @@ def _exact_starts(key: Key, target: Multiplexed, chains: int) -> tuple[State, In
 @eqx.filter_jit
 def _densities(keys: Array, scene: Scene, values: Array, regions: Array, count: int) -> Float[Array, "r n"]:
     """The density C_i(u) of the importance function at independent samples."""
+    dtype = jnp.zeros(()).dtype
+    scene, values = cast((scene, values), dtype)
 
     def one(key: Key, values: Array) -> Array:
         _, target = scene.multiplexed(values, regions)
-        w = uniforms(key, 0, (target.dim_u + 1, count), jnp.float32)
-        index = stratum(w[0], target.n_techniques)
-        states = jax.vmap(target.evaluate)(State(index, w[1:].T))
-        return jnp.exp(states.seen.log_c)
+        w = uniforms(key, 0, (target.dim_u + 1, count), dtype)
+        return jnp.exp(uniform_states(target, w[0], w[1:]).seen.log_c)
 
     return jax.vmap(one)(keys, values)

@@ -28,9 +28,10 @@ class Normalisation(NamedTuple):
 
 
 def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normalisation:
-    """B by independent samples: the number of techniques times the mean of C_i(u) at uniform i and u.
+    """The integral b by independent samples: the number of techniques times the mean of C_i(u) at uniform i and u.
 
-    Hachisuka et al. 2014, section 4: the factor is the number of techniques of the chain, all of them.
+    Hachisuka et al. 2014, section 4: the factor is the number of techniques of the chain, all of them. `samples`: above
+    2**18 rounded up to a multiple of it. Raises `ValueError` where the density is NaN or infinite at a sample.
     """
     require_multiplexed(target, "normalisation")
     require_key(key, "normalisation")
@@ -151,13 +152,23 @@ def require_defined(target: Multiplexed, state: State, trapped: Bool[Array, " ch
     )
 
 
+def uniform_states(
+    target: Multiplexed, number: Float[Array, " n"], u: Float[Array, "m n"], only: int | None = None
+) -> State:
+    """Evaluated states at independent uniform numbers, the last axis counting them.
+
+    `number` chooses the technique of each, unless `only` does: then the states are uniform on u alone.
+    """
+    index = stratum(number, target.n_techniques)
+    index = index if only is None else jnp.full_like(index, only)
+    return jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, u))
+
+
 @quickly
 def _draw(
     key: Key, target: Multiplexed, count: int, dtype: Any, only: int | None = None
 ) -> tuple[State, Float[Array, " count"], Float[Array, " count"]]:
-    """States uniform on (i, u), or u alone, their densities, and a uniform number for each."""
+    """`uniform_states`, the first axis counting them, their densities, and a uniform number for each."""
     numbers = uniforms(key, _DRAWS, (target.dim_u + 2, count), dtype)
-    index = stratum(numbers[0], target.n_techniques)
-    index = index if only is None else jnp.full_like(index, only)
-    state = jax.vmap(target.evaluate)(State(index, numbers[2:].T))
-    return state, jnp.exp(state.seen.log_c), numbers[1]
+    state = uniform_states(target, numbers[0], numbers[2:], only)
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), state), jnp.exp(state.seen.log_c), numbers[1]

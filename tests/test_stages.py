@@ -54,6 +54,25 @@ def test_independent_samples_and_two_stage_are_unbiased():
     assert (test.work, final.work, final.film.samples) == (256, 1024, 768)
 
 
+def test_it_is_all_the_same_in_float64():
+    """Parameters are kept in float64 until something is rendered; a carry that began in float32 did not stay one."""
+    with jax.enable_x64(True):
+        images = [
+            RENDERER.render(jax.random.key(0), plan(8, 1024), MultiStage(SCENE.pixels), "apart").film.image(),
+            independent(jax.random.key(0), SCENE, 512, REPLICAS).film.image(),
+            energy_redistribution(jax.random.key(0), SCENE, STEP, 2048, REPLICAS, length=20).film.image(),
+        ]
+    assert np.abs([scores(image) for image in images]).max() < 6
+
+
+def test_a_long_stage_loses_no_deposit():
+    """The weights of three steps in four are 0.3 and 0.7, which a float32 sum over 2^22 rounds to 0.25 and 0.75."""
+    scene = Scene(FromFunction(lambda x: jnp.where(x < 0.5, 1.0, 0.3), breaks=(0.5,)), Uniform(), Pixels(2))
+    film = Renderer(scene, LargeStep(), 1, 1).plain(jax.random.key(0), 2**22).film
+    assert film.density.sum() == pytest.approx(2**22, rel=1e-5)
+    assert film.image()[0] == pytest.approx([1, 0.3], rel=0.01)  # 12 standard errors
+
+
 def test_the_plans_of_the_text_and_of_the_listing():
     text, listing = plan(64, 10**6), plan(64, 10**6, "listing")
     assert [s.regions for s in text] == [1, 2, 4, 8, 16, 32, 35, 38, 42, 45, 48, 51, 54, 58, 61, 64]
@@ -129,7 +148,7 @@ def test_the_bilateral_filter_smooths_and_keeps_edges():
         (lambda: RENDERER.render(jax.random.key(0), plan(8, 64), MultiStage(SCENE.pixels), "image"), "b must be"),
         (lambda: RENDERER.render(jax.random.key(0), [], MultiStage(SCENE.pixels)), "one stage at least"),
         (lambda: RENDERER.render(jax.random.key(0), [Stage(9, 64)], MultiStage(SCENE.pixels)), "9 regions a side"),
-        (lambda: Renderer(SCENE, STEP, 0), "one replica and chain"),
+        (lambda: Renderer(SCENE, STEP, 0), "Renderer: replicas must be a whole number"),
         (lambda: energy_redistribution(jax.random.key(0), SCENE, STEP, 2, 1, length=100), "no chain was started"),
     ],
 )

@@ -13,10 +13,11 @@ from mcmc1d.flatland import Paths, Scene
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing, StagedMLT
 from mcmc1d.flatland.integrators.exposure import expose
-from mcmc1d.flatland.integrators.redistribution import chains_of
 from mcmc1d.moves import Move
-from mcmc1d.numerics import below_one, cast, stratum
+from mcmc1d.numerics import below_one, cast
 from mcmc1d.random import uniforms
+from mcmc1d.redistribution import chains_of
+from mcmc1d.starts import uniform_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Int, Key
 
@@ -98,9 +99,8 @@ class Contest:
         drawn = self.draws(draw_key, count)
         quantum = self.exact.mean() * self.length
         xi = np.asarray(jax.random.uniform(xi_key, drawn.energy.shape), np.float64)
-        run, path = np.nonzero(chains_of(drawn.energy, quantum, xi))
-        repeated = chains_of(drawn.energy, quantum, xi)[run, path]
-        run, path = np.repeat(run, repeated), np.repeat(path, repeated)
+        started = chains_of(drawn.energy, quantum, xi)
+        run, path = (np.repeat(at, started[started > 0]) for at in np.nonzero(started))
         integrator = self._integrator("MLT", 0.0)
         kernel, target = integrator.kernel(), integrator.target(self.paths)
         lanes, rows, accepted, shadow = self.runs * self.chains, [], [], np.nan
@@ -171,15 +171,15 @@ class Draws(NamedTuple):
 @eqx.filter_jit
 def _draws(
     key: Key, target: Multiplexed, paths: Paths, batch: Int[Array, ""], lanes: int
-) -> tuple[Array, Array, Array, Array, Array, Array]:
+) -> tuple[Index, Array, Array, Array, Array, Array]:
     """Index, u, energy, pixel, whether there is a shadow ray and whether it is blocked; the last axis are samples."""
     dtype = jnp.zeros(()).dtype
     target, paths = cast((target, paths), dtype)
     numbers = uniforms(key, batch, (target.dim_u + 1, lanes), dtype)
-    index = stratum(numbers[0], target.n_techniques)
     pixel_of = (jnp.arange(lanes) % paths.sensor.pixels).astype(dtype)
     u = numbers[1:].at[0].set(below_one((pixel_of + numbers[1]) / paths.sensor.pixels))
-    seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, u)).seen
+    state = uniform_states(target, numbers[0], u)
+    index, seen = state.index, state.seen
     energy = target.n_techniques * jnp.exp(seen.log_c)
     pixel = jax.vmap(paths.pixel, in_axes=-1)(seen.x)
     cast_, blocked = jax.vmap(partial(shadow_ray, target, paths), in_axes=(0, -1))(index, seen.x)

@@ -8,9 +8,10 @@ import numpy as np
 
 from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.paths import Paths
-from mcmc1d.numerics import cast, stratum
+from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
-from mcmc1d.state import Multiplexed, State
+from mcmc1d.starts import uniform_states
+from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Key
 
 _LANES = 2**12
@@ -83,9 +84,7 @@ def _sampled(
 
     def body(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
         numbers = uniforms(key, first + k, (target.dim_u + 1, _LANES), dtype)
-        index = stratum(numbers[0], target.n_techniques)
-        index = index if only is None else jnp.full_like(index, only)
-        seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:])).seen
+        seen = uniform_states(target, numbers[0], numbers[1:], only).seen
         value = ((target.n_techniques if only is None else 1) * jnp.exp(seen.log_c))[None]
         if paths is not None:
             pixel = jax.vmap(paths.pixel, in_axes=-1)(seen.x)

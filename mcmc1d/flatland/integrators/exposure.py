@@ -16,8 +16,9 @@ from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Step
-from mcmc1d.numerics import cast, require, stratum
+from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
+from mcmc1d.starts import uniform_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
@@ -162,7 +163,7 @@ def exact_starts(
     while (found < chains).any():
         require(
             attempt < _PATIENCE and bound.min() > 0,
-            f"StagedMLT: {found.min()} of {chains} starts after {attempt} batches of candidates: the density has a "
+            f"exact_starts: {found.min()} of {chains} starts after {attempt} batches of candidates: the density has a "
             "narrow peak, or there is no light; give techniques that follow it",
         )
         state, density, pixel, uniform = _candidates(key, target, attempt)
@@ -204,10 +205,9 @@ def _drawn(
     dtype = jnp.zeros(()).dtype
     target = cast(target, dtype)
     numbers = uniforms(key, attempt, (target.dim_u + 2, _CANDIDATES), dtype)
-    index = stratum(numbers[0], target.n_techniques)
-    seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[2:])).seen
-    pixel = jax.vmap(_light(target).light.paths.pixel, in_axes=-1)(seen.x)
-    return State(index, numbers[2:]), jnp.exp(seen.log_c), pixel, numbers[1]
+    state = uniform_states(target, numbers[0], numbers[2:])
+    pixel = jax.vmap(_light(target).light.paths.pixel, in_axes=-1)(state.seen.x)
+    return State(state.index, state.u), jnp.exp(state.seen.log_c), pixel, numbers[1]
 
 
 EXAMPLES = Examples(lambda: {"moments": Moments(LIT["light"].paths, 64)})

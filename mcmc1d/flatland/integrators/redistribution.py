@@ -17,8 +17,10 @@ from mcmc1d.flatland.sampling import Sums, bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
-from mcmc1d.numerics import cast, require, stratum
+from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
+from mcmc1d.redistribution import chains_of
+from mcmc1d.starts import uniform_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Key
 from mcmc1d.weights import Balance, Maximum, Power
@@ -27,11 +29,6 @@ _PATHS = 2**12
 """Independent paths at once."""
 _CHAINS = 2**10
 """Chains at once: one size, so that one program serves any number of them."""
-
-
-def chains_of(energy: np.ndarray, quantum: float, xi: np.ndarray) -> np.ndarray:
-    """How many chains each path starts: floor(e / quantum + xi), e / quantum in expectation."""
-    return np.floor(energy / quantum + xi).astype(int)
 
 
 class EnergyRedistribution(Integrator):
@@ -120,9 +117,8 @@ def _energies(key: Key, target: Multiplexed, batch: Array) -> tuple[State, Float
     dtype = jnp.zeros(()).dtype
     target = cast(target, dtype)
     numbers = uniforms(key, batch, (target.dim_u + 2, _PATHS), dtype)
-    index = stratum(numbers[0], target.n_techniques)
-    seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[2:])).seen
-    return State(index, numbers[2:].T), target.n_techniques * jnp.exp(seen.log_c), numbers[1]
+    state = uniform_states(target, numbers[0], numbers[2:])
+    return State(state.index, state.u.T), target.n_techniques * jnp.exp(state.seen.log_c), numbers[1]
 
 
-__all__ = ["EnergyRedistribution", "chains_of"]
+__all__ = ["EnergyRedistribution"]
