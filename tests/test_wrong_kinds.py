@@ -44,6 +44,7 @@ CALLS = {
     "normalisation(key, target, 2.5)": "normalisation: samples must be a whole number, 2 at least",
     "moves.SmallStep('a')": "a parameter is a number, or an array of them, not 'a'",
     "moves.Exchange('a')": "Exchange: width must be a whole number, 1 at least, not 'a'",
+    "moves.ReplicaStep(moves.ScaledStep())": "ReplicaStep: the step must be an EachAlone, not a ScaledStep",
     "moves.CoordinateStep(0.1, 0.5)": "CoordinateStep: coordinate must be a whole number, 0 at least, not 0.5",
     "moves.Mixture({'a': move})": "Mixture: of move 'a' give (probability, move), not SmallStep",
     "moves.Mixture([move])": "Mixture: give moves by name",

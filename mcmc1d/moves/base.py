@@ -57,6 +57,10 @@ class EachNumber(Move):
         return target.dim_u
 
 
+class EachAlone(EachNumber):
+    """One that moves each coordinate by its own number, whatever the others, the technique and the target are."""
+
+
 def around_the_ends(state: State, step: Float[Array, " m"], w: Float[Array, " m"]) -> Proposal:
     """The proposal of wrap(u + step), around the ends, with the numbers `w` of the step back: log-determinant 0."""
     u = wrap(state.u + step)

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.numerics import below_one, require, wrap
+from mcmc1d.numerics import below_one, require, stratum, wrap
 from mcmc1d.types import Array, Float, Index
 
 
@@ -75,7 +75,7 @@ class Stratified(Candidates):
     def back(self, p: int, r: int, w: Float[Array, " s"], k: Index, number: Float[Array, " r"]) -> Reverse:
         rows = w.reshape(2 * p - 1, r)
         scaled = number[0] * p
-        place = jnp.clip(scaled.astype(jnp.int32), 0, p - 1)
+        place = stratum(number[0], p)
         within = number.at[0].set(below_one(scaled - place))
         family = insert(rows[p:], within, place)
         w_back = jnp.concatenate([family, without(rows[:p], k)]).ravel()

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.examples import Examples
-from mcmc1d.moves.base import EachNumber, Move, Proposal, zero
+from mcmc1d.moves.base import EachAlone, Move, Proposal, zero
 from mcmc1d.moves.primary import LargeStep
 from mcmc1d.numerics import normal_quantile, parameter, require, require_positive, stratum, wrap
 from mcmc1d.state import Multiplexed, State
@@ -49,11 +49,11 @@ class ReplicaStep(Move):
     (w_0, ...): w_0 chooses the replica and is kept, the others are those of the step.
     """
 
-    step: EachNumber
+    step: EachAlone
     width: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
-        require_instance(self.step, EachNumber, "ReplicaStep: the step", "; give a SmallStep or a LargeStep")
+        require_instance(self.step, EachAlone, "ReplicaStep: the step", "; give a SmallStep or a LargeStep")
         require_whole(self.width, "ReplicaStep: width")
 
     def dim_w(self, target: Multiplexed) -> int:

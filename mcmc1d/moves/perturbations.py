@@ -9,14 +9,14 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtr
 
 from mcmc1d.examples import Examples
-from mcmc1d.moves.base import EachNumber, Proposal, around_the_ends
+from mcmc1d.moves.base import EachAlone, Proposal, around_the_ends
 from mcmc1d.numerics import parameter, require_positive
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.techniques import TruncatedNormal
 from mcmc1d.types import Array, Float, Scalar
 
 
-class TruncatedStep(EachNumber):
+class TruncatedStep(EachAlone):
     """A Gaussian step of every coordinate, cut to the unit interval ("clamped"): q(u' given u) = N(u'; u, s^2) / Z(u).
 
     The normaliser Z(u) = Phi((1 - u) / s) - Phi(-u / s) depends on where the step starts, and so the log-determinant
@@ -42,7 +42,7 @@ class TruncatedStep(EachNumber):
         return TruncatedNormal(centre, jnp.asarray(self.sigma, centre.dtype))
 
 
-class UniformStep(EachNumber):
+class UniformStep(EachAlone):
     """u' = wrap(u + width (w - 1/2)), w' = 1 - w: a uniform step, of standard deviation width / sqrt(12)."""
 
     width: Scalar = eqx.field(converter=parameter, default=0.2)
@@ -54,7 +54,7 @@ class UniformStep(EachNumber):
         return around_the_ends(state, self.width * (w - 0.5), 1 - w)
 
 
-class LinearStep(EachNumber):
+class LinearStep(EachAlone):
     """A step whose density falls linearly from 0 to +-width / 2, around the ends; standard deviation width / sqrt(24).
 
     By the quantile of that tent, which is odd about w = 1/2; w' = 1 - w.

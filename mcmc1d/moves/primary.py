@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.examples import Examples
-from mcmc1d.moves.base import EachNumber, Proposal, around_the_ends, zero
+from mcmc1d.moves.base import EachAlone, Proposal, around_the_ends, zero
 from mcmc1d.numerics import is_concrete, normal_quantile, parameter, require, require_positive
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 
 
-class SmallStep(EachNumber):
+class SmallStep(EachAlone):
     """u' = wrap(u + sigma Phi^-1(w)), w' = 1 - w: a Gaussian step of every coordinate, around the ends."""
 
     sigma: Scalar = eqx.field(converter=parameter, default=0.05)
@@ -23,7 +23,7 @@ class SmallStep(EachNumber):
         return around_the_ends(state, self.sigma * normal_quantile(w), 1 - w)
 
 
-class ExponentialStep(EachNumber):
+class ExponentialStep(EachAlone):
     """Kelemen et al. 2002: u' = wrap(u +- s2 (s1 / s2)^r), a step log-uniform in [s1, s2].
 
     Every order of magnitude between the two is as likely as another, not every size.
@@ -50,7 +50,7 @@ class ExponentialStep(EachNumber):
         return around_the_ends(state, jnp.where(up, step, -step), jnp.where(up, w + 0.5, w - 0.5))
 
 
-class LargeStep(EachNumber):
+class LargeStep(EachAlone):
     """Swap u and w: fresh primary samples for the current technique."""
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:

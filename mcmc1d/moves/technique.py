@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from mcmc1d.checks import require_instance
 from mcmc1d.compiling import quickly
 from mcmc1d.examples import Examples
-from mcmc1d.moves.base import Move, Proposal
-from mcmc1d.moves.perturbations import LinearStep, TruncatedStep, UniformStep
-from mcmc1d.moves.primary import ExponentialStep, LargeStep, SmallStep
+from mcmc1d.moves.base import EachAlone, Move, Proposal
+from mcmc1d.moves.primary import LargeStep, SmallStep
 from mcmc1d.numerics import choose, cumulative, entry, is_concrete, require, unchoose, width
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index, Real, Scalar
@@ -118,7 +117,7 @@ class StepAndChange(Move):
     def check(self, target: Multiplexed) -> None:
         self.step.check(target)
         self.change.check(target)
-        if not isinstance(self.step, _OF_U) and is_concrete(self.step, target):
+        if not isinstance(self.step, EachAlone) and is_concrete(self.step, target):
             _require_of_u(self.step, target)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
@@ -130,10 +129,6 @@ class StepAndChange(Move):
             jnp.concatenate([stepped.w, changed.w]),
             stepped.log_det + changed.log_det,
         )
-
-
-_OF_U = (SmallStep, ExponentialStep, LargeStep, TruncatedStep, UniformStep, LinearStep)
-"""Known to look at u alone."""
 
 
 def _require_of_u(step: Move, target: Multiplexed, probes: int = 64) -> None:
