@@ -151,7 +151,8 @@ def held(
     except ValueError:
         return {"excess": 0.0, "detectable": np.nan, "twin": np.nan, "blind": 1.0, "rays": 0.0, "samples": 0.0}
     exact = np.array(values), np.array(errors)
-    first, second = jax.random.split(jax.random.fold_in(jax.random.key(seed), zlib.crc32(integrator.encode())))
+    key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(integrator.encode()))
+    first, second, third = jax.random.split(key, 3)
     pilot = 2**log2_pilot
     looked = integrate(first, make, of, lengths=lengths, samples=pilot)
     goal *= 1 if integrator in STRICT else 3
@@ -161,7 +162,7 @@ def held(
     if hasattr(make, "chains") and needed > 8 * pilot:
         # The error of short chains falls more slowly than samples grow: how slowly, a longer look shows.
         longer = int(min(max(4 * pilot, needed / 4), most))
-        again = integrate(jax.random.fold_in(first, 1), make, of, lengths=lengths, samples=longer)
+        again = integrate(third, make, of, lengths=lengths, samples=longer)
         after = float(compare(again, *exact, level).detectable[-1].max())
         slope = np.clip(np.log(error / after) / np.log(longer / pilot), 0.25, 0.5)
         needed = longer * (after / goal) ** (1 / slope)

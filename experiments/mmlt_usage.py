@@ -118,7 +118,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     found: dict[str, list[Any]] = {key: [] for key in ("scale", "net", "net_error", "mean", "ratio", "spread", "error")}
     usage, usage_error = np.zeros(len(NAMES)), np.zeros(len(NAMES))
     for k, (name, (own, kernel)) in enumerate(methods(config).items()):
-        key = jax.random.fold_in(jax.random.key(seed), k)
+        key, proposals_key, errors_key = jax.random.split(jax.random.fold_in(jax.random.key(seed), k), 3)
         one = name.startswith("MMLT")
         scale = b if one else integral(own.target)  # what deposits are multiplied by
         net = net_error = np.full(config.bins, np.nan)
@@ -130,10 +130,10 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             chains = long_run("usage", key, kernel, own, **size, estimators=joint_histogram)
             blocks = chains.sums["x"].sum(2) * config.blocks / (config.chains * config.steps)
             usage, usage_error = blocks.mean(0), sem(blocks)
-        ratio, spread = _effective(config, own, kernel, jax.random.fold_in(key, 1))
+        ratio, spread = _effective(config, own, kernel, proposals_key)
         # At equal work: a step of PSSMLT evaluates the samples of all techniques.
         steps = config.work // (1 if one else len(TECHNIQUES))
-        each = histograms(jax.random.fold_in(key, 2), kernel, own, edges, steps, config.repeats)
+        each = histograms(errors_key, kernel, own, edges, steps, config.repeats)
         error, mean = np.sqrt(np.mean((scale * each - masses) ** 2, axis=1)), each.mean(0)
         for part, value in zip(found, (scale, net, net_error, mean, ratio, spread, error), strict=True):
             found[part].append(value)

@@ -119,7 +119,7 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
     config = Config(**fields)
     target, move = integrators(config)[name]
     key = jax.random.fold_in(jax.random.key(seed), list(RIGHT).index(name))
-    first, second, third = jax.random.split(key, 3)
+    first, second, third, fourth = jax.random.split(key, 4)
     edges = np.linspace(0, 1, config.bins + 1)
     # One law for all: a wrong inverse changes neither f nor the densities.
     exact = _target(config, _MIXTURE).joint_masses(edges)
@@ -148,9 +148,8 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
     # The histograms go on from there, and a wrong integrator's from where it has left the target's law behind.
     start = jax.tree.map(lambda leaf: leaf[: config.chains], replicas.state)
     if not RIGHT[name] and config.burn > 0:
-        fresh = jax.random.fold_in(second, 1)
         size: dict[str, Any] = {"steps": config.burn, "chains": config.chains, "blocks": config.blocks}
-        start = long_run(f"{name}: burn-in", fresh, move, target, start=start, **size, **common).state
+        start = long_run(f"{name}: burn-in", fourth, move, target, start=start, **size, **common).state
     long = long_run(
         f"{name}: histograms",
         second,

@@ -14,7 +14,7 @@ from mcmc1d.types import Array, Bool
 T = TypeVar("T")
 
 _SHARE = 16
-"""Of a batch, those that ask are taken so many times fewer at once."""
+"""A group that is computed at once is so many times smaller than the batch."""
 
 
 def only_where(needed: Bool[Array, ""], function: Callable[..., T], *args: Any) -> T:

@@ -233,7 +233,7 @@ def _advance(
 def _record(
     key: Key, numbers: Source, kernel: Kernel, target: Multiplexed, start: State, steps: int
 ) -> tuple[Array, Array, State, Bool[Array, " n"]]:
-    """X and the index of every chain after every step, the last states, and which are trapped."""
+    """The x and the index of every chain after every step, the last states, and which are trapped."""
 
     def body(state: State, k: Array) -> tuple[State, Any]:
         state = _step(key, numbers, kernel, target, k, state).state

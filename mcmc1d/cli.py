@@ -16,6 +16,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
+from mcmc1d.whole import write_whole
+
 _PASS, _FAIL, _USAGE, _INCONCLUSIVE = 0, 1, 2, 3
 _PATIENCE = 2.0
 """Seconds after which progress is shown."""
@@ -52,16 +54,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(str(error))
     except KeyboardInterrupt:
         return _refuse("interrupted", 130)
-
-
-def write(path: Path, save: Callable[[Path], Any]) -> None:
-    """`save(temporary path)`, then renamed: a file of this name is whole or not there. Raises `OSError`."""
-    temporary = path.with_name(f".{os.getpid()}-{path.name}")
-    try:
-        save(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -159,9 +151,9 @@ def _verify(options: argparse.Namespace) -> int:
         progress.clear()
     try:
         if options.json is not None:
-            write(options.json, lambda path: path.write_text(report.to_json() + "\n"))
+            write_whole(options.json, lambda path: path.write_text(report.to_json() + "\n"))
         if options.plot is not None:
-            write(options.plot, lambda path: report.plot().savefig(path))
+            write_whole(options.plot, lambda path: report.plot().savefig(path))
     except OSError as error:
         raise RequestError(f"{error.filename}: can not be written: {error.strerror}") from error
     try:

@@ -205,7 +205,7 @@ def accept(
 ) -> Step:
     """Go to the proposal if `uniform` is under its acceptance probability, or stay.
 
-    The one function of the library that accepts or rejects.
+    Every kernel on a `Multiplexed` accepts here.
     """
     proposed = target.evaluate(proposal.state)
     a = acceptance(state, Proposal(proposed, proposal.w, proposal.log_det, proposal.kind))

@@ -144,9 +144,9 @@ def locate(ends: Ends, value: Scalar) -> Index:
     return k
 
 
-def stratum(number: Float[Array, "..."], n: int) -> Int[Array, "..."]:
-    """Which of n equal intervals of [0, 1) holds each number."""
-    return jnp.minimum((number * n).astype(jnp.int32), n - 1)
+def stratum(number: Float[Array, "..."], n: int | Index) -> Int[Array, "..."]:
+    """Which of n equal intervals of [0, 1) holds each number; what lies beyond an end is held by the last there."""
+    return jnp.clip((number * jnp.asarray(n, number.dtype)).astype(jnp.int32), 0, n - 1)
 
 
 def choose(ends: Ends, value: Scalar) -> tuple[Index, Scalar]:

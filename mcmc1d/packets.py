@@ -23,9 +23,10 @@ class PublishedDeposit(OfMove[MultipleTry]):
     Every candidate gets R_g times its share of its family, every competitor, the current state among them, 1 - R_g
     times its share of the other, with R_g limited to one. As published a share is in proportion to the target, f / sum
     f; `inner="weights"` takes the weights w by which one candidate is selected. The chain itself is right; what is
-    deposited is not, but for p = 1, for a symmetric step whose candidates are chosen evenly (and, with w, for an
-    independent proposal and lambda = 1 / (g g)): then the current state is among its competitors as any of them would
-    be, in proportion to f. See `metropolis.Metropolis` for the deposit on two states, `AuxiliaryCentre` for p + 1.
+    deposited is biased, except for p = 1, for a symmetric step whose candidates are chosen evenly, and with
+    `inner="weights"` for an independent proposal and lambda = 1 / (g g): there the current state is among its
+    competitors as any of them would be, in proportion to f. See `metropolis.Metropolis` for the deposit on two states,
+    `AuxiliaryCentre` for p + 1.
     """
 
     move: MultipleTry

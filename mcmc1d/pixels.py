@@ -10,7 +10,7 @@ import numpy as np
 
 from mcmc1d.checks import rising
 from mcmc1d.compiling import quickly
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast, require, stratum
 from mcmc1d.targets import DensityOf, Target
 from mcmc1d.types import Array, Float, Index
 
@@ -50,8 +50,7 @@ class Pixels(eqx.Module):
         The coarser grid's regions need not be made of whole pixels, and their number may be traced.
         """
         k = self.side if regions is None else regions
-        place = jnp.atleast_1d(x)[: self.dim]
-        cells = jnp.clip((place * jnp.asarray(k, place.dtype)).astype(jnp.int32), 0, k - 1)
+        cells = stratum(jnp.atleast_1d(x)[: self.dim], k)
         return cells[0] if self.dim == 1 else cells[0] * self.side + cells[1]
 
 

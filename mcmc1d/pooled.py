@@ -17,7 +17,7 @@ from mcmc1d.checks import require_instance, rising
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, SmallStep
-from mcmc1d.numerics import cast, require, select
+from mcmc1d.numerics import cast, require, select, stratum
 from mcmc1d.quadrature import integrate
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import DensityOf, Target
@@ -98,9 +98,7 @@ class Floored(Target):
 
     def state(self, u: Float[Array, " m"]) -> State:
         """The evaluated (index, u) that a point of the larger cube stands for."""
-        n = self.multiplexed.n_techniques
-        index = jnp.clip((u[0] * n).astype(jnp.int32), 0, n - 1)
-        return self.multiplexed.evaluate(State(index, u[1:]))
+        return self.multiplexed.evaluate(State(stratum(u[0], self.multiplexed.n_techniques), u[1:]))
 
     def log_f(self, x: Float[Array, " m"]) -> Scalar:
         return jnp.where(jnp.all((x >= 0) & (x <= 1)), self.state(x).seen.log_c, -jnp.inf)

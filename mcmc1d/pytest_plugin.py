@@ -21,6 +21,8 @@ from typing import Any
 
 import pytest
 
+from mcmc1d.whole import write_whole
+
 _KEY = pytest.StashKey["_Share"]()
 _PROPERTY = "mcmc1d"  # in a report's user_properties, which reach xdist's controller and JUnit's XML
 _RETRIERS = {
@@ -221,8 +223,6 @@ class _Run:
 
     def certify(self, report: Any, record: dict) -> None:
         """Write a certificate: the report, and whose it is."""
-        from mcmc1d.cli import write
-
         if self.certificates is None:
             return
         whose = {
@@ -234,7 +234,7 @@ class _Run:
         words = re.sub(r"[^A-Za-z0-9.-]+", "_", record["test"])[:150]
         digest = hashlib.sha256(record["test"].encode()).hexdigest()[:8]  # two tests' words may be the same
         text = json.dumps(whose | json.loads(report.to_json()), indent=2, allow_nan=False)
-        write(self.certificates / f"{words}.{digest}.{record['call']}.json", lambda path: path.write_text(text))
+        write_whole(self.certificates / f"{words}.{digest}.{record['call']}.json", lambda path: path.write_text(text))
 
 
 def _seed(seed: int, test: str, call: int) -> int:

@@ -119,7 +119,7 @@ class Multiplexed(eqx.Module):
 
     @property
     def dim_v(self) -> int:
-        """K = m - d, the length of the state's v."""
+        """How many numbers v has, k = m - d."""
         return self.dim_u - int(np.prod(np.shape(self.target.domain[0])))
 
     @property

@@ -18,9 +18,9 @@ class SubChain(Kernel):
     """A step of a main chain that deposits along `length` steps of another kernel, whose states are then thrown away.
 
     Coherent MLT (Segovia et al. 2007, algorithm 1) and energy redistribution (Cline et al. 2005). The sub-chain
-    starts at the main chain's state before its step, accepted or not what came before: that state has the target's
-    law, the inner kernel keeps it, and so each of the `length` deposits has the target's expectation; their mean is
-    deposited. The main chain never sees where the sub-chain went, and its own deposits are left out.
+    starts at the main chain's state before its step, whether or not its last proposal was accepted: that state has
+    the target's law, the inner kernel keeps it, and so each of the `length` deposits has the target's expectation;
+    their mean is deposited. The main chain never sees where the sub-chain went, and its own deposits are left out.
 
     Work: one step of `outer` and `length` steps of `inner`. Kinds: those of `outer`, then "inner ..." for the others.
     """

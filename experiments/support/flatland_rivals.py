@@ -15,7 +15,7 @@ from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT
 from mcmc1d.flatland.sampling import Sums
-from mcmc1d.numerics import cast
+from mcmc1d.numerics import cast, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
@@ -149,7 +149,7 @@ def _contributions(
     dtype = jnp.zeros(()).dtype
     target, paths = cast((target, paths), dtype)
     numbers, (members, count) = uniforms(key, batch, (target.dim_u + 1, _BATCH), dtype), chosen
-    index = members[jnp.minimum((numbers[0] * count).astype(jnp.int32), count - 1)]
+    index = members[stratum(numbers[0], count)]
     seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:])).seen
     p = jnp.where(mask[:, None], jnp.exp(jnp.stack(seen.log_p)), 0).sum(0)
     lit = (seen.log_c > -jnp.inf) & (p > 0)

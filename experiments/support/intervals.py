@@ -15,6 +15,13 @@ def half(values: np.ndarray) -> np.ndarray:
     return student.ppf(0.975, values.shape[-1] - 1) * sem(values, axis=-1)
 
 
+def paired(above: np.ndarray, below: np.ndarray, miss: float) -> Ratio:
+    """The ratio of two geometric means over the same seeds, which share random numbers, missed with `miss`."""
+    logs = np.log(above / below)
+    middle, width = logs.mean(), student.isf(miss / 2, logs.size - 1) * sem(logs)
+    return float(np.exp(middle)), float(np.exp(middle - width)), float(np.exp(middle + width))
+
+
 def geometric(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The geometric mean over the last axis and its 95 % interval: errors of seeds are skewed."""
     width = half(np.log(values))

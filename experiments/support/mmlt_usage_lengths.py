@@ -11,7 +11,7 @@ from scipy.stats import sem
 import mcmc1d
 from experiments.support.each_chain import EachHistogram
 from experiments.support.framework import Claim
-from experiments.support.intervals import DECIDES, over, ratio, shown, under
+from experiments.support.intervals import DECIDES, over, paired, shown, under
 from experiments.support.verdict import verdict
 from mcmc1d.compiling import quickly
 from mcmc1d.metropolis import Kernel
@@ -61,7 +61,8 @@ def lengths(key: jax.Array, edges: np.ndarray, work: int, repeats: int) -> dict[
     masses = np.stack([length.bin_masses(edges) for length in LENGTHS])
     b = masses.sum(1)
     over, step = over_lengths()
-    one = b.sum() * histograms(key, step, over, edges, work, repeats)
+    key, together = jax.random.split(key)
+    one = b.sum() * histograms(together, step, over, edges, work, repeats)
     each = np.zeros_like(one)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint64))
     # Of each repetition only the chain of one length counts, that of P(k); what it deposits is divided by P(k), or not.
@@ -148,7 +149,7 @@ def claims(data: xr.Dataset, passed: bool | None, verified: str, held: str) -> l
     missed, predicted = data.missed.to_numpy(), data.miss_predicted.to_numpy()
     tolerance = 5 * np.sqrt(predicted * (1 - predicted) / MISSES)
     once, later = data.image_error.to_numpy()
-    falls, stays = ratio(later[-1], later[-2], DECIDES), ratio(once[-1], later[-1], DECIDES)
+    falls, stays = paired(later[-1], later[-2], DECIDES), paired(once[-1], later[-1], DECIDES)
     return [
         Claim(
             "mmlt.lengths-law",

@@ -6,7 +6,7 @@ import numpy as np
 
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.technique import log_ratio
-from mcmc1d.numerics import choose, entry, unchoose, width
+from mcmc1d.numerics import choose, entry, stratum, unchoose, width
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Real, Scalar
 
@@ -37,4 +37,4 @@ class RingDraw(Move):
         return Proposal(State(state.index, state.u.at[0].set(u)), back[None], log_det.astype(w.dtype))
 
     def _cell(self, state: State) -> Array:
-        return jnp.clip((state.u[0] * self.n).astype(jnp.int32), 0, self.n - 1)
+        return stratum(state.u[0], self.n)

@@ -23,7 +23,7 @@ from mcmc1d.types import Array, Corners, Float, Index, Int, Scalar
 
 
 class LightOfAnyLength(Target):
-    """F of paths of 1 to K edges: its integral over the paths of one length that arrive in a pixel is as of `Light`."""
+    """The light f of paths of 1 to K edges; over those of one length that arrive in a pixel, as that of `Light`."""
 
     lights: tuple[Light, ...]
     """By length, from 1."""
@@ -83,7 +83,7 @@ class AnyLength(Family):
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """T of each technique."""
+        """How many of its vertices each technique walks from the sensor: its t."""
         return tuple(t for family in self.families for t in family.lengths)
 
     @property

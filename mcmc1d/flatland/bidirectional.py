@@ -20,9 +20,9 @@ from mcmc1d.examples import Examples
 from mcmc1d.flatland.evaluation import evaluate, reads
 from mcmc1d.flatland.geometry import Vector, Walls
 from mcmc1d.flatland.paths import EXAMPLES as LIT
-from mcmc1d.flatland.paths import Geometry, Light, LightTimes, Paths, lamps
+from mcmc1d.flatland.paths import Geometry, Light, LightTimes, Paths, lamps, on_a_lamp
 from mcmc1d.flatland.scattering import Local, lambert_direction, lambert_number, local, scatter, unscatter
-from mcmc1d.numerics import below_one, between, cast, choose, pick, require
+from mcmc1d.numerics import below_one, between, cast, pick, require
 from mcmc1d.techniques import Family, Technique
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.family import apart
@@ -187,10 +187,9 @@ def walk_eye(paths: Paths, u: Float[Array, " m"], vertices: int) -> Walk:
 def walk_light(paths: Paths, u: Float[Array, " m"], vertices: int) -> Walk:
     """Up to so many vertices from a lamp, chosen by its length; numbers are read from the back of u."""
     walls, u = _of_one_kind(paths.walls, u)
-    numbers, ends = u[::-1], lamps(walls)
-    segment, inside = choose(ends / ends[-1], numbers[0])
-    along = inside * walls.at(walls.length, segment)
-    place, log_place = walls.slot(segment, along), -jnp.log(ends[-1])
+    numbers = u[::-1]
+    segment, along = on_a_lamp(walls, numbers[0])
+    place, log_place = walls.slot(segment, along), -jnp.log(lamps(walls)[-1])
     # A pinhole and a single edge leave no number for a direction, and none is needed.
     out = lambert_direction(numbers[1] if len(numbers) > 1 else numbers[0])
     log_direction = jnp.log(jnp.maximum(out.up / 2, jnp.finfo(u.dtype).tiny))

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 
 from mcmc1d.flatland.geometry import Frame, Vector, Walls, where
-from mcmc1d.flatland.paths import Paths, lamps
+from mcmc1d.flatland.paths import Paths, lamps, log_or_dark, on_a_lamp
 from mcmc1d.flatland.scattering import Local, brdf, density, lambert_direction, local, scatter
-from mcmc1d.numerics import choose, pick
+from mcmc1d.numerics import pick
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 
 
@@ -93,9 +93,8 @@ def _eye_start(paths: Paths, u: Float[Array, " m"]) -> tuple[Vertex, Vector]:
 
 
 def _lamp_start(walls: Walls, u: Float[Array, " m"]) -> tuple[Vertex, Vector]:
-    numbers, ends = u[::-1], lamps(walls)
-    segment, inside = choose(ends / ends[-1], numbers[0])
-    along = inside * walls.at(walls.length, segment)
+    numbers = u[::-1]
+    segment, along = on_a_lamp(walls, numbers[0])
     frame = walls.frame(segment)
     vertex = Vertex(
         walls.point(segment, along),
@@ -219,7 +218,7 @@ def _light_and_densities(
     # Per length again, for each vertex but the mirrors' bounces.
     bounces = sum(jnp.asarray(bounce).astype(walls.dtype) for bounce in mirror) if walls.mirrors else 0
     per_length = (paths.dim - bounces) * log_unit
-    return _log(jnp.where(visible, f, 0)) - per_length, tuple(_log(p) - per_length for p in each)
+    return log_or_dark(jnp.where(visible, f, 0)) - per_length, tuple(log_or_dark(p) - per_length for p in each)
 
 
 def _products(
@@ -273,8 +272,3 @@ def _unfolded(
     for j in range(len(distance) - 1, 0, -1):
         back.append(distance[j - 1] + jnp.where(vertices[j].mirror, back[-1], 0))
     return forth, back[::-1]
-
-
-def _log(value: Scalar) -> Scalar:
-    positive = value > 0
-    return jnp.where(positive, jnp.log(jnp.where(positive, value, 1)), -jnp.inf)

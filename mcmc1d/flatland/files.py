@@ -62,6 +62,7 @@ from mcmc1d.flatland.schema import (
 )
 from mcmc1d.flatland.toml_text import basic_string, parse
 from mcmc1d.numerics import require
+from mcmc1d.whole import write_whole
 
 _TOP: Schema = {
     "name": TEXT,
@@ -185,10 +186,8 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
     parts.append(
         _block("[sensor]", {"kind": kind, **{field: getattr(scene.sensor, field) for field in fields.split()}})
     )
-    target = Path(path)
-    part = target.with_name(f"{target.name}.part")
-    part.write_text("\n\n".join(parts) + "\n", encoding="utf-8", newline="\n")
-    part.replace(target)
+    text = "\n\n".join(parts) + "\n"
+    write_whole(Path(path), lambda part: part.write_text(text, encoding="utf-8", newline="\n"))
 
 
 def _material_names(scene: Scene) -> dict[Material, str]:

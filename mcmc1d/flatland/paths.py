@@ -21,8 +21,9 @@ from mcmc1d.flatland.geometry import Vector, Walls, where
 from mcmc1d.flatland.scattering import Local, brdf, local, log_density
 from mcmc1d.flatland.scene import Scene, require_scene
 from mcmc1d.flatland.sensors import Sensor, sensor_of
+from mcmc1d.numerics import choose, stratum
 from mcmc1d.targets import Target
-from mcmc1d.types import Array, Bool, Corners, Float, Int, Scalar
+from mcmc1d.types import Array, Bool, Corners, Float, Index, Int, Scalar
 
 
 class Geometry(NamedTuple):
@@ -92,8 +93,7 @@ class Paths(eqx.Module):
 
     def pixel(self, x: Float[Array, " d"]) -> Int[Array, ""]:
         """The pixel at which a path arrives."""
-        n = self.sensor.pixels
-        return jnp.clip((self.film(x) * n).astype(jnp.int32), 0, n - 1)
+        return stratum(self.film(x), self.sensor.pixels)
 
     def vertices(self, x: Float[Array, " d"]) -> Float[Array, "vertices 2"]:
         """The points in the plane, for pictures."""
@@ -177,7 +177,7 @@ class Paths(eqx.Module):
         direction = self.sensor.log_density(_first(g.out))
         segment, coming, out, mirror = g.between()
         turns = jax.vmap(partial(log_density, self.walls))(segment, coming, out, mirror)
-        steps = _log(jnp.abs(g.coming.up)) - jnp.log(g.from_eye)
+        steps = log_or_dark(jnp.abs(g.coming.up)) - jnp.log(g.from_eye)
         return jnp.concatenate([first[None], jnp.where(g.clear, _chain(direction, turns, steps, mirror), -jnp.inf)])
 
     def log_lamp(self, g: Geometry) -> Float[Array, " vertices"]:
@@ -189,8 +189,8 @@ class Paths(eqx.Module):
         last = jnp.where(on_lamp, -jnp.log(lamps(self.walls)[-1]), -jnp.inf)
         segment, coming, out, mirror = g.between()
         turns = jax.vmap(partial(log_density, self.walls))(segment, out, coming, mirror)
-        steps = _log(jnp.abs(g.out.up)) - jnp.log(g.from_light)
-        factors = _chain(_log(g.coming.up[-1] / 2), turns[::-1], steps[::-1], mirror[::-1])[::-1]
+        steps = log_or_dark(jnp.abs(g.out.up)) - jnp.log(g.from_light)
+        factors = _chain(log_or_dark(g.coming.up[-1] / 2), turns[::-1], steps[::-1], mirror[::-1])[::-1]
         return jnp.concatenate([jnp.where(g.clear, factors, -jnp.inf), last[None]])
 
     def log_light(self, g: Geometry) -> Scalar:
@@ -198,12 +198,12 @@ class Paths(eqx.Module):
         walls = self.walls
         total = self.sensor.log_place(walls, g.segment[0]) + self.sensor.log_response(_first(g.out))
         segment, coming, out, mirror = g.between()
-        scattered = _log(jax.vmap(partial(brdf, walls))(segment, coming, out) * out.up)
-        steps = _log(g.coming.up) - jnp.log(g.from_eye)
+        scattered = log_or_dark(jax.vmap(partial(brdf, walls))(segment, coming, out) * out.up)
+        steps = log_or_dark(g.coming.up) - jnp.log(g.from_eye)
         front = (coming.up > 0) & (out.up > 0)
-        mirrored = _log(jnp.where(front, jax.vmap(partial(walls.at, walls.mirror))(segment), 0))
+        mirrored = log_or_dark(jnp.where(front, jax.vmap(partial(walls.at, walls.mirror))(segment), 0))
         inner = jnp.where(mirror, mirrored, scattered + steps[:-1])
-        total = total + jnp.sum(inner) + steps[-1] + _log(walls.at(walls.emission, g.segment[-1]))
+        total = total + jnp.sum(inner) + steps[-1] + log_or_dark(walls.at(walls.emission, g.segment[-1]))
         return jnp.where(jnp.all(g.clear), total, -jnp.inf)
 
 
@@ -252,6 +252,13 @@ def lamps(walls: Walls) -> Float[Array, " ends"]:
     return jnp.concatenate([jnp.zeros_like(lengths[:1]), jnp.cumsum(lengths)])
 
 
+def on_a_lamp(walls: Walls, number: Scalar) -> tuple[Index, Scalar]:
+    """Which lamp, chosen by its length, and how far along it."""
+    ends = lamps(walls)
+    segment, inside = choose(ends / ends[-1], number)
+    return segment, inside * walls.at(walls.length, segment)
+
+
 def _first(directions: Local) -> Local:
     return Local(directions.along[0], directions.up[0])
 
@@ -281,7 +288,7 @@ def _shortest(dtype: Any) -> Any:
     return jnp.finfo(dtype).tiny ** 0.5
 
 
-def _log(value: Float[Array, "..."]) -> Float[Array, "..."]:
+def log_or_dark(value: Float[Array, "..."]) -> Float[Array, "..."]:
     """The logarithm; -inf, with a derivative that is a number, where the value is not positive."""
     positive = value > 0
     return jnp.where(positive, jnp.log(jnp.where(positive, value, 1)), -jnp.inf)

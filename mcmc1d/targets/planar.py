@@ -56,8 +56,8 @@ class RotatedMixture(Target):
 class Ring(Target):
     """A ring about `centre`, as steep as a normal density of deviation `width`, brighter on one side by exp(tilt x0).
 
-    log f = -((r^2 - radius^2) / (2 radius width))^2 / 2 + tilt x0, with x0 and r from the centre in units of the
-    radius and as they are: smooth at the centre too, and near the ring ((r - radius) / width)^2 / 2.
+    log f = -((r^2 - radius^2) / (2 radius width))^2 / 2 + tilt x0, with r the distance from the centre and x0 =
+    (x[0] - centre[0]) / radius: smooth at the centre too, and near the ring ((r - radius) / width)^2 / 2.
     """
 
     centre: Float[Real, " 2"] = eqx.field(converter=parameter, default=(0.5, 0.5))

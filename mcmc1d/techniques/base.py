@@ -111,8 +111,8 @@ def sample_shape(technique: Technique) -> tuple[int, ...]:
 def checked_shape(technique: Technique, dtype: Any = None) -> tuple[int, ...]:
     """`sample_shape`; `ValueError` unless all that the technique returns has the shape that it should have.
 
-    Nothing is computed; `dtype` is that of u and x, JAX's default unless given. What else would be told in other words:
-    a (1,) for a () broadcasts, and is wrong silently.
+    Nothing is computed; `dtype` is that of u and x, JAX's default unless given. Without this a (1,) in place of a ()
+    would broadcast, and be wrong silently.
     """
     m = technique.dim_u
     x, v = _returned(technique, "forward", (_floats(m, dtype=dtype),), x=None, v=None, log_det=())[:2]

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_instance
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import below_one, is_concrete, require
+from mcmc1d.numerics import below_one, cast, is_concrete, require
 from mcmc1d.techniques.base import Forward, Inverse, Technique, checked_shape, dim_v, sample_shape
 from mcmc1d.types import Array, Corners, Float, Scalar
 
@@ -57,10 +58,11 @@ class Compose(Technique):
     def breaks(self) -> tuple[float, ...]:
         """The breaks of every technique, carried through the later ones."""
         points: list[float] = []
-        for technique in self.techniques:
-            if sample_shape(technique) == ():
-                points = [float(technique.forward(jnp.asarray([point]))[0]) for point in points]
-            points += technique.breaks
+        with jax.enable_x64(True):
+            for technique in cast(self.techniques, jnp.float64):
+                if sample_shape(technique) == ():
+                    points = [float(technique.forward(jnp.asarray([point]))[0]) for point in points]
+                points += technique.breaks
         return tuple(sorted(set(points)))
 
     def forward(self, u: Float[Array, " m"]) -> Forward:

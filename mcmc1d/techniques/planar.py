@@ -31,7 +31,7 @@ class Planar(Technique):
 
 
 def outlines(technique: Technique) -> list[Outline]:
-    """All curves along which a planar technique's density may jump; of the corners of its support if it says none."""
+    """All curves along which a planar technique's density may jump; the sides of its support where it names none."""
     if isinstance(technique, Mixture):
         return [outline for lobe in technique.lobes for outline in outlines(lobe)]
     return [technique.outline if isinstance(technique, Planar) else Outline.box(*technique.support)]

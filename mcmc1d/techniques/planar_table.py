@@ -1,4 +1,4 @@
-"""A table of masses in the plane: the 2D importance map of renderers; and a mixture of planar techniques."""
+"""A table of masses in the plane: the 2D importance map of renderers."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -73,7 +73,7 @@ class Metropolised(Integrator):
 
     @abc.abstractmethod
     def limits(self, techniques: int) -> tuple[float, float]:
-        """What a step deposits at most; and how many times the most of f / (the sum of all p_i) a sample for b is."""
+        """What a chain deposits in a step at most; and the largest sample for b, in units of `brightest`."""
 
     @abc.abstractmethod
     def rays(self, target: Multiplexed, paths: Paths, counts: dict[str, float]) -> tuple[float, float]:

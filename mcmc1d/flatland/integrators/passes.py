@@ -13,7 +13,7 @@ from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.flatland.sampling import Sums
 from mcmc1d.flatland.scene import Scene
-from mcmc1d.numerics import below_one, cast
+from mcmc1d.numerics import below_one, cast, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.types import Array, Float, Key
 
@@ -72,7 +72,7 @@ def _summed(key: Key, integrator: Passes, paths: Paths, steps: Array) -> tuple[A
     def one(numbers: Array) -> Array:
         own = numbers[: each * cameras].reshape(each, cameras)
         own = own.at[0].set(below_one((strata + own[0]) / cameras))
-        pixel = jnp.clip((own[0] * pixels).astype(jnp.int32), 0, pixels - 1)
+        pixel = stratum(own[0], pixels)
         light = integrator.gather(paths, own, numbers[each * cameras :])
         return jnp.where(pixel[None] == row, light[None], 0).sum(1) / cameras
 

@@ -11,10 +11,10 @@ import numpy as np
 from mcmc1d.flatland.geometry import Vector, Walls
 from mcmc1d.flatland.integrators.base import brightest, multiplexed
 from mcmc1d.flatland.integrators.passes import Passes
-from mcmc1d.flatland.paths import Paths, lamps
+from mcmc1d.flatland.paths import Paths, lamps, on_a_lamp
 from mcmc1d.flatland.scattering import Local, brdf, lambert_direction, local, scatter
 from mcmc1d.flatland.scene import Scene
-from mcmc1d.numerics import choose, parameter, require
+from mcmc1d.numerics import parameter, require
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 
@@ -127,11 +127,11 @@ def _walk(walls: Walls, start: _Ray, numbers: Float[Array, " r"]) -> Landing:
 
 def _photon(paths: Paths, u: Float[Array, " r"]) -> Landing:
     """A photon's landings: the lamp by its length, the direction with density cos / 2, so that its flux is 2 L_e l."""
-    walls, ends = paths.walls, lamps(paths.walls)
-    segment, inside = choose(ends / ends[-1], u[0])
-    point = walls.point(segment, inside * walls.at(walls.length, segment))
+    walls = paths.walls
+    segment, along = on_a_lamp(walls, u[0])
+    point = walls.point(segment, along)
     way = lambert_direction(u[1]).world(walls.frame(segment))
-    weight = 2 * walls.at(walls.emission, segment) * ends[-1]
+    weight = 2 * walls.at(walls.emission, segment) * lamps(walls)[-1]
     return _walk(walls, _Ray(point, way, jnp.asarray(segment, jnp.int32), weight, jnp.ones((), bool)), u[2:])
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.mutations.base import layout, looked_at, reweighed, settled
 from mcmc1d.moves import Move, Proposal
-from mcmc1d.numerics import normal_quantile, parameter, pick, require_positive, wrap
+from mcmc1d.numerics import normal_quantile, parameter, pick, require_positive, stratum, wrap
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 
@@ -35,8 +35,7 @@ class ManifoldStep(Move):
         """`w`: which vertex, which is kept; the place inside the weight of the technique in use; the step."""
         here, known = layout(target), state.seen
         walls, places, seen = here.paths.walls, here.paths.sensor.places, looked_at(here, known.x)
-        numbers = jnp.asarray(seen.edges + places, w.dtype)
-        chosen = jnp.minimum(w[0] * numbers, numbers - 1).astype(jnp.int32)
+        chosen = stratum(w[0], seen.edges + places)
         slot = pick([known.x[j] for j in range(here.paths.dim)], chosen)
         free = slot < walls.total
         segment, along = walls.place(jnp.where(free, slot, 0))
