@@ -47,7 +47,7 @@ print(json.dumps({"import": imported, "compile": compiled, "seconds": seconds, "
 def measure(show: Show) -> dict[str, Any]:
     """Import and compile time in seconds, cold and cached; peak memory in MiB by steps; the gain of a second core."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    pairs = 3 if len(cores) >= 2 else 0
+    pairs = 5 if len(cores) >= 2 else 0
     total, done = 1 + len(STEPS) + 2 * pairs, 0
 
     with tempfile.TemporaryDirectory(prefix="mcmc1d-") as cache:
