@@ -5,9 +5,11 @@ import gc
 import json
 import time
 from pathlib import Path
-from typing import Annotated
+from types import ModuleType
+from typing import Annotated, Any
 
 import typer
+import xarray as xr
 from rich.console import Console
 
 from experiments.support import framework
@@ -130,12 +132,30 @@ def draw(
     framework.style()
     for name in names:
         module = framework.load(name)
-        data, record = framework.read(out, name)
-        found = module.judge(data)
-        record["claims"] = [vars(claim) for claim in found]
-        framework.write(out, name, data, module.draw(data), record)
-        console.print(module.table(data))
-        _print_claims(found)
+        _judged(name, module, *framework.read(out, name), out)
+
+
+@app.command()
+def join(
+    name: Annotated[str, typer.Argument(help="Which experiment; see `list`.")],
+    folders: Annotated[list[Path], typer.Argument(help="The folders, --out, of two runs or more.")],
+    out: Out = Path("figures"),
+) -> None:
+    """Join runs that differ in one list, of scenes or of integrators: what ran on several machines, or days."""
+    framework.require_writable(out)
+    framework.style()
+    module = framework.load(name)
+    data, record = framework.joined(name, folders)
+    _judged(name, module, data, record, out)
+
+
+def _judged(name: str, module: ModuleType, data: xr.Dataset, record: dict[str, Any], out: Path) -> None:
+    """Judge, draw, write and show."""
+    found = module.judge(data)
+    record["claims"] = [vars(claim) for claim in found]
+    framework.write(out, name, data, module.draw(data), record)
+    console.print(module.table(data))
+    _print_claims(found)
 
 
 @app.command()

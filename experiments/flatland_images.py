@@ -100,8 +100,8 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     return xr.Dataset(
         {
             **{of: (cells, grid(of)) for of in ("excess", "detectable", "twin", "blind", "rays", "samples")},
-            "right_passes": ("mutant", [right for right, _ in caught]),
-            "caught": ("mutant", [found for _, found in caught]),
+            "right_passes": ("mutant", np.array([right for right, _ in caught], bool)),
+            "caught": ("mutant", np.array([found for _, found in caught], bool)),
             "pixels": config.pixels,
             "lengths": config.lengths,
             "goal": config.goal,
@@ -260,16 +260,19 @@ def judge(data: xr.Dataset) -> list[Claim]:
             f"worst pixel at {excess.max():.2f} of what would have failed; {blind}",
             f"family-wise {LEVEL:g}, Bernstein; would have found {found}, and {asked} in {sharp} of {seen.sum()}",
         ),
-        Claim(
-            "flatland.mutants",
-            f"Each of {len(caught)} wrong integrators is caught, and is right without its mistake",
-            "ours; origins in mcmc1d.flatland.mutants",
-            "fails" if missed else "holds",
-            "holds",
-            f"{int((caught & right).sum())} of {len(caught)}" + (f"; not {', '.join(missed)}" if missed else ""),
-            f"one technique's share left out is caught in {int(twins.sum())} of {twins.size} images",
-        ),
     ]
+    if len(caught):
+        claims.append(
+            Claim(
+                "flatland.mutants",
+                f"Each of {len(caught)} wrong integrators is caught, and is right without its mistake",
+                "ours; origins in mcmc1d.flatland.mutants",
+                "fails" if missed else "holds",
+                "holds",
+                f"{int((caught & right).sum())} of {len(caught)}" + (f"; not {', '.join(missed)}" if missed else ""),
+                f"one technique's share left out is caught in {int(twins.sum())} of {twins.size} images",
+            )
+        )
     return claims + ([_bias(data)] if any(str(name) in BIASED for name in names) else [])
 
 

@@ -86,11 +86,7 @@ def density_table(name: str, edges: ArrayLike, values: ArrayLike, *, cells: bool
     or infinite, one positive at least.
     """
     require(is_concrete(edges, values), f"{name}: edges and values are tables of numbers and can not be traced")
-    edges, values = np.asarray(edges, np.float64), np.asarray(values, np.float64)
-    require(
-        edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)),
-        f"{name}: the edges must rise, two at least in one dimension: {edges}",
-    )
+    edges, values = rising(edges, name), np.asarray(values, np.float64)
     wanted = edges.size - 1 if cells else edges.size
     require(
         values.shape == (wanted,),
@@ -102,11 +98,12 @@ def density_table(name: str, edges: ArrayLike, values: ArrayLike, *, cells: bool
     return edges, values
 
 
-def rising(edges: np.ndarray, who: str) -> np.ndarray:
+def rising(edges: ArrayLike, who: str) -> np.ndarray:
     """The edges of bins in float64, or `ValueError` unless they are two at least and rise."""
     edges = np.asarray(edges, np.float64)
     require(
-        edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)), f"{who}: the edges must rise: {edges}"
+        edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)),
+        f"{who}: the edges must rise, two at least in one dimension: {edges}",
     )
     return edges
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_cover, require_instance
+from mcmc1d.checks import require_cover, require_instance, rising
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposits, Kernel, Step
 from mcmc1d.numerics import require
@@ -99,11 +99,7 @@ class Histogram(Estimator):
             )
             self.edges = np.linspace(*domain, int(count) + 1)
         else:
-            self.edges = np.asarray(bins, np.float64)
-            require(
-                self.edges.ndim == 1 and self.edges.size >= 2 and bool(np.all(np.diff(self.edges) > 0)),
-                f"Histogram: the edges must be at least two rising numbers, not {self.edges}",
-            )
+            self.edges = rising(bins, "Histogram")
         self.joint = joint
 
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "..."]:

@@ -19,7 +19,7 @@ from mcmc1d.numerics import cast, is_concrete, parameter, require, require_posit
 from mcmc1d.pixels import Pixels, masses
 from mcmc1d.quadrature import Outline, integrate, midpoints
 from mcmc1d.targets import DensityOf, Target
-from mcmc1d.targets.base import Edges
+from mcmc1d.targets.base import Edges, unit_cube
 from mcmc1d.types import Array, Corners, Float, Index, Real, Scalar
 
 
@@ -165,8 +165,7 @@ class Regions(Target):
 
     @property
     def domain(self) -> Corners:
-        d = self.values.ndim + self.hidden
-        return (0.0, 1.0) if d == 1 else (np.zeros(d), np.ones(d))
+        return unit_cube(self.values.ndim + self.hidden)
 
     @property
     def breaks(self) -> tuple[float, ...]:

@@ -21,6 +21,7 @@ from mcmc1d.numerics import cast, require, select, stratum
 from mcmc1d.quadrature import integrate
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import DensityOf, Target
+from mcmc1d.targets.base import unit_cube
 from mcmc1d.techniques.product import cube
 from mcmc1d.types import Array, Corners, Float, Scalar
 
@@ -41,7 +42,7 @@ class Pooled(Target):
 
     @property
     def domain(self) -> Corners:
-        return _cube_domain(self.multiplexed.dim_u)
+        return unit_cube(self.multiplexed.dim_u)
 
     @property
     def breaks(self) -> tuple[float, ...]:
@@ -94,7 +95,7 @@ class Floored(Target):
 
     @property
     def domain(self) -> Corners:
-        return _cube_domain(1 + self.multiplexed.dim_u)
+        return unit_cube(1 + self.multiplexed.dim_u)
 
     def state(self, u: Float[Array, " m"]) -> State:
         """The evaluated (index, u) that a point of the larger cube stands for."""
@@ -217,10 +218,6 @@ def _shares(own: Pooled, log_c: Float[Array, " n"], share: Scalar) -> Float[Arra
     log_total = own.combined(log_c)
     lit = jnp.isfinite(log_total) & (log_c > -jnp.inf)
     return jnp.where(lit, share * jnp.exp(jnp.where(lit, log_c - log_total, 0)), 0)
-
-
-def _cube_domain(m: int) -> Corners:
-    return (0.0, 1.0) if m == 1 else (np.zeros(m), np.ones(m))
 
 
 def _examples() -> dict[str, Target | Kernel]:

@@ -16,6 +16,7 @@ from mcmc1d.numerics import is_concrete, parameter, require
 from mcmc1d.pooled import Floored
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Target
+from mcmc1d.targets.base import edges_of_each, unit_cube
 from mcmc1d.techniques.product import cube
 from mcmc1d.types import Array, Corners, Float, Real, Scalar
 
@@ -41,8 +42,7 @@ class Replicated(Target):
 
     @property
     def domain(self) -> Corners:
-        m = len(self.techniques) * self.multiplexed.dim_u
-        return (0.0, 1.0) if m == 1 else (np.zeros(m), np.ones(m))
+        return unit_cube(len(self.techniques) * self.multiplexed.dim_u)
 
     def contributions(self, u: Float[Array, " m"]) -> tuple[Float[Array, "n ..."], Float[Array, " n"]]:
         """(x_i, log C_i) of every replica."""
@@ -59,9 +59,7 @@ class Replicated(Target):
     def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
         """The exact integral over each box, for techniques of one number: `edges` of every u, or one array for all."""
         require(self.multiplexed.dim_u == 1, "Replicated: the masses of boxes are known for techniques of one number")
-        shared = isinstance(edges, np.ndarray) and edges.ndim == 1
-        each = [edges] * len(self.techniques) if shared else list(edges)
-        require(len(each) == len(self.techniques), f"Replicated: give the edges of {len(self.techniques)} numbers")
+        each = edges_of_each(edges, len(self.techniques), "Replicated.bin_masses")
         n, masses = self.multiplexed.n_techniques, np.ones(())
         for i, own in zip(self.techniques, each, strict=True):
             # In the floored index's law technique i has one n-th of its integral.

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance, rising
+from mcmc1d.checks import require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.numerics import is_concrete, parameter, require
 from mcmc1d.state import Multiplexed
 from mcmc1d.targets import Target
+from mcmc1d.targets.base import edges_of_each
 from mcmc1d.targets.tempered import Sum, Tempered
 from mcmc1d.techniques import Technique, Uniform, sample_shape
 from mcmc1d.techniques.product import Product
@@ -105,9 +106,7 @@ class Replicas(Target):
         """The exact integral over each box: `edges` of every coordinate, or one array for all; shape (bins, ...)."""
         betas, d = np.asarray(self.betas), np.size(self.target.domain[0])
         n = d * len(betas)
-        each = [edges] * n if isinstance(edges, np.ndarray) and edges.ndim == 1 else list(edges)
-        require(len(each) == n, f"Replicas: give the edges of {n} coordinates, not of {len(each)}")
-        each = [rising(np.asarray(own), "Replicas.bin_masses") for own in each]
+        each = edges_of_each(edges, n, "Replicas.bin_masses")
         masses = np.ones(())
         for t, beta in enumerate(betas):
             own = each[d * t : d * (t + 1)]

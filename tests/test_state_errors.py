@@ -61,7 +61,7 @@ def test_a_step_of_u_alone_of_a_users_own_goes_with_a_technique_change():
         (lambda: moves.TechniqueChange([[0.5, 0.4], [0.5, 0.5]]), "row"),
         (lambda: moves.Mixture({"a": (0.5, moves.LargeStep())}), "sum to one"),
         (lambda: weights.Power(-1), "beta must be positive"),
-        (lambda: mcmc1d.Histogram([0, 0.5, 0.5]), "rising"),
+        (lambda: mcmc1d.Histogram([0, 0.5, 0.5]), "Histogram: the edges must rise"),
         (lambda: mcmc1d.Histogram(2.5), "must be a whole number"),
         (lambda: mcmc1d.Multiplexed(SINUSOID, techniques.Tent), r"give an instance, Tent\(...\), not the class Tent"),
         (lambda: mcmc1d.Multiplexed(lambda x: x, PAIR), "FromFunction makes one of a function"),

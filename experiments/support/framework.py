@@ -8,7 +8,7 @@ import platform
 import subprocess
 import tempfile
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -133,6 +133,39 @@ def read(out: Path, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     return xr.load_dataset(out / f"{name}.nc", engine="h5netcdf"), json.loads((out / f"{name}.json").read_text())
 
 
+def joined(name: str, folders: Sequence[Path]) -> tuple[xr.Dataset, dict[str, Any]]:
+    """The data and the manifest, without claims, of runs that differ in one list of names: of scenes, of integrators.
+
+    The list `scenes` of the configuration is the dimension `scene` of the data. `ValueError` where the runs have other
+    differences, or where two have done the same.
+    """
+    found = [read(folder, name) for folder in folders]
+    datasets, records = [data for data, _ in found], [record for _, record in found]
+    for part in ("profile", "seed", "versions"):
+        same = all(record[part] == records[0][part] for record in records)
+        require(same, f"join: the runs of {name} differ in their {part}; only what differs in one list can be joined")
+    configs = [record["config"] for record in records]
+    differs = sorted({field for config in configs for field in config if config[field] != configs[0][field]})
+    dimension = differs[0].removesuffix("s") if len(differs) == 1 else ""
+    require(
+        all(dimension in data.dims for data in datasets),
+        f"join: runs of {name} must differ in one list of names, such as scenes, not in {', '.join(differs) or 'none'}",
+    )
+    labels = [str(label) for data in datasets for label in data[dimension].to_numpy()]
+    twice = sorted({label for label in labels if labels.count(label) > 1})
+    require(not twice, f"join: two runs of {name} have {', '.join(twice)}")
+    try:
+        # What has no such dimension is of all of them. Labels of fixed width would be cut to that of the first.
+        parts = [data.drop_attrs().drop_vars(dimension) for data in datasets]
+        data = xr.concat(parts, dimension, data_vars="minimal", compat="equals", join="exact")
+    except ValueError as error:
+        raise ValueError(f"join: the runs of {name} do not agree in what they have in common: {error}") from None
+    data = data.assign_coords({dimension: labels})
+    commits = dict.fromkeys(record["commit"] for record in records)
+    config = {**configs[0], differs[0]: " ".join(labels)}
+    return data, {**records[0], "config": config, "commit": ", ".join(commits), "claims": []}
+
+
 def markdown(claims: list[Claim], where: str) -> list[str]:
     """The lines of the README's table, and where it is from."""
     cells = [(f"`{c.id}`", c.statement, c.source, f"**{c.verdict}**", c.number, c.tolerance) for c in claims]
@@ -199,6 +232,7 @@ def _commit() -> str:
 __all__ = [
     "Claim",
     "configure",
+    "joined",
     "load",
     "manifest",
     "markdown",

@@ -117,7 +117,7 @@ class Walls(eqx.Module):
         for name in ("emission", "lambert", "glossy", "mirror"):
             setattr(self, name, np.array([getattr(m, name) for m in materials] + [0.0] * 4))
         self.exponents = tuple(sorted({material.exponent for material in materials if material.glossy > 0}))
-        self.mirrors = any(material.mirror > 0 for material in materials)
+        self.mirrors = scene.mirrors
         finishes = [self.exponents.index(m.exponent) if m.glossy > 0 else 0 for m in materials]
         self.finish = np.array(finishes + [0] * 4)
 

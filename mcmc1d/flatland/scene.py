@@ -168,17 +168,16 @@ class Scene:
             f"scene {self.name}: it is {extent:.3g} across and reaches {far:.3g} from the origin; for single precision "
             "scale it to between 1e-6 and 1e6, and move it to the origin",
         )
-        mirrors, total = any(s.material.mirror > 0 for s in self.segments), float(self.lengths.sum())
+        total = float(self.lengths.sum())
         require(
-            not mirrors or total <= 1e5,
+            not self.mirrors or total <= 1e5,
             f"scene {self.name}: its walls are {total:.3g} long; with mirrors 1e5 at most, or single precision takes "
             "one mirror for another: scale it down",
         )
         names = [segment.name for segment in self.segments if segment.name]
         twice = sorted({name for name in names if names.count(name) > 1})
         require(not twice, f"scene {self.name}: the name {', '.join(twice)} is taken twice")
-        emits = any(segment.material.emission > 0 for segment in self.segments)
-        require(emits, f"scene {self.name}: no segment emits; give one a material with emission > 0")
+        require(self.emission > 0, f"scene {self.name}: no segment emits; give one a material with emission > 0")
         self._check_crossings()
         self._check_sensor()
 
@@ -203,6 +202,31 @@ class Scene:
     def lengths(self) -> np.ndarray:
         """Of each segment."""
         return np.hypot(*(self.ends[:, 1] - self.ends[:, 0]).T)
+
+    @property
+    def emission(self) -> float:
+        """The largest radiance that a segment emits."""
+        return max(segment.material.emission for segment in self.segments)
+
+    @property
+    def reflectance(self) -> float:
+        """The largest share of the light that a segment sends on."""
+        return max(segment.material.reflectance for segment in self.segments)
+
+    @property
+    def lamp_length(self) -> float:
+        """Of all that emits, end to end."""
+        return sum(segment.length for segment in self.segments if segment.material.emission > 0)
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether a segment reflects as a mirror."""
+        return any(segment.material.mirror > 0 for segment in self.segments)
+
+    @property
+    def glossy(self) -> bool:
+        """Whether a segment has a glossy lobe."""
+        return any(segment.material.glossy > 0 for segment in self.segments)
 
     def with_pixels(self, pixels: int) -> "Scene":
         """The same scene, seen with another number of pixels."""

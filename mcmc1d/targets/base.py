@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.checks import rising
 from mcmc1d.numerics import require
 from mcmc1d.quadrature import Outline, integrate, integrate_plane
 from mcmc1d.types import Array, Corners, Float, Scalar
@@ -66,6 +67,19 @@ def pair_of_edges(edges: Edges, who: str) -> tuple[np.ndarray, np.ndarray]:
     pair = len(edges) == 2 and all(np.ndim(part) == 1 for part in edges)
     require(pair, f"{who}: in the plane, edges are a pair (x_edges, y_edges), each of rising numbers")
     return edges[0], edges[1]
+
+
+def edges_of_each(edges: Edges, n: int, who: str) -> list[np.ndarray]:
+    """The edges of each of n coordinates: as many arrays, or one for all; rising, or `ValueError`."""
+    shared = isinstance(edges, np.ndarray) and edges.ndim == 1
+    each = [edges] * n if shared else list(edges)
+    require(len(each) == n, f"{who}: give the edges of {n} coordinates, not of {len(each)}")
+    return [rising(own, who) for own in each]
+
+
+def unit_cube(d: int) -> Corners:
+    """The corners of [0, 1]^d as a domain; of one dimension, two numbers."""
+    return (0.0, 1.0) if d == 1 else (np.zeros(d), np.ones(d))
 
 
 class DensityOf(eqx.Module):

@@ -36,7 +36,7 @@ _UNKNOWN = 0.1
 """Noise from which on a law is none, and mass below zero that extrapolation does not explain."""
 
 
-class Law(NamedTuple):
+class PredictedLaw(NamedTuple):
     """A predicted law on bins, of shape (n_index, bins), and what it may be off by."""
 
     masses: np.ndarray
@@ -53,7 +53,7 @@ class Law(NamedTuple):
     """
 
 
-class Balance(NamedTuple):
+class Asymmetry(NamedTuple):
     """How far a flux is from its transpose: half the sum of the absolute differences, and the same of mere noise."""
 
     residual: float
@@ -110,7 +110,7 @@ class Operator:
         """
         return stationary(self.mean_flux)
 
-    def law_of(self, edges: ArrayLike, function: Function | None = None) -> Law:
+    def law_of(self, edges: ArrayLike, function: Function | None = None) -> PredictedLaw:
         """The law of (index, x), or of (index, function(x)), that the kernel keeps, on the bins between `edges`.
 
         Extrapolated to cells of no width from these cells and from cells twice as wide, whose flux is the same net's.
@@ -142,9 +142,9 @@ class Operator:
             f"the law was not found: the net's scrambles differ by {noise:.2g} of total variation, and the least "
             f"mass is {masses.min():.2g}: raise `points` or take fewer cells",
         )
-        return Law(masses, error, noise, float(np.abs(masses - here).sum() / 2))
+        return PredictedLaw(masses, error, noise, float(np.abs(masses - here).sum() / 2))
 
-    def detailed_balance_residual(self) -> Balance:
+    def detailed_balance_residual(self) -> Asymmetry:
         """F - F^T, which is zero for a reversible kernel: by pair of cells, in all, and by kind of move.
 
         A right kernel need not be reversible (a cycle is not). The kinds' stays are left out, and so are the starts
@@ -158,7 +158,7 @@ class Operator:
         for k, name in enumerate(self.flux.kinds):
             odd = self.flux.by_kind[:, k] - self.flux.by_kind[:, k].transpose(0, 2, 1)
             kinds[name] = (float(np.abs(odd.mean(0)).sum() / 2), self._noise(((odd - odd.mean(0)) ** 2).sum(0)))
-        return Balance(float(abs(mean).sum() / 2), self._noise(sp.csr_matrix(spread).data), mean, kinds)
+        return Asymmetry(float(abs(mean).sum() / 2), self._noise(sp.csr_matrix(spread).data), mean, kinds)
 
     def _noise(self, squares: np.ndarray) -> float:
         """Half the expected sum of absolute means, from sums of squared deviations over the scrambles."""
@@ -295,4 +295,4 @@ def step_operator(
     return Operator(measure(flux, 1, counts, points=points, scrambles=scrambles, seed=seed))
 
 
-__all__ = ["Balance", "Law", "Operator", "step_operator", "transition_operator"]
+__all__ = ["Asymmetry", "Operator", "PredictedLaw", "step_operator", "transition_operator"]

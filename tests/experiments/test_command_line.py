@@ -96,6 +96,28 @@ def test_draw_judges_the_committed_data_again_and_finds_the_same(inside, tmp_pat
     assert now["claims"] == before["claims"]
 
 
+def test_join_puts_together_what_ran_apart(inside, tmp_path):
+    data = xr.load_dataset(ROOT / "figures" / "flatland_images.nc", engine="h5netcdf")
+    record = json.loads((ROOT / "figures" / "flatland_images.json").read_text())
+    names = [str(name) for name in data.integrator.to_numpy()]
+    for folder, own in (("one", names[:1]), ("two", names[1:])):
+        (tmp_path / folder).mkdir()
+        data.sel(integrator=own).to_netcdf(tmp_path / folder / "flatland_images.nc", engine="h5netcdf")
+        part = {**record, "config": {**record["config"], "integrators": " ".join(own)}, "commit": folder}
+        (tmp_path / folder / "flatland_images.json").write_text(json.dumps(part))
+    one, two, both = (tmp_path / name for name in ("one", "two", "both"))
+    assert inside("join", "flatland_images", one, two, "--out", both)[0] == 0
+    joined = json.loads((both / "flatland_images.json").read_text())
+    assert (joined["commit"], joined["claims"]) == ("one, two", record["claims"])
+    xr.testing.assert_equal(data, xr.load_dataset(both / "flatland_images.nc", engine="h5netcdf"))
+    same = inside("join", "flatland_images", one, one, "--out", both)
+    assert (same[0], "must differ in one list of names, such as scenes, not in none" in same[2]) == (2, True)
+    part = {**part, "config": {**part["config"], "scenes": "elsewhere"}}
+    (two / "flatland_images.json").write_text(json.dumps(part))
+    other = inside("join", "flatland_images", one, two, "--out", both)
+    assert (other[0], "not in integrators, scenes" in other[2]) == (2, True)
+
+
 def test_list_names_experiments_and_fields():
     shown = experiments("list").stdout
     assert "rjmlt_fig3" in shown

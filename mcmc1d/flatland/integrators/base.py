@@ -54,18 +54,13 @@ def brightest(scene: Scene, edges: int) -> float:
 
     The lobes are sampled in proportion to what they send on at most, so a bounce multiplies by the reflectance or less.
     """
-    emission = max(segment.material.emission for segment in scene.segments)
-    reflectance = max(segment.material.reflectance for segment in scene.segments)
     response = 1.0 if isinstance(scene.sensor, Pinhole) else 2.0
-    return response * emission * reflectance ** (edges - 1)
+    return response * scene.emission * scene.reflectance ** (edges - 1)
 
 
 def brightest_from_lamps(scene: Scene, edges: int) -> float:
     """The same of light tracing: of paths that hit a wall sensor, or are joined to a pinhole, whose distance counts."""
-    emission = max(segment.material.emission for segment in scene.segments)
-    lamps = sum(segment.length for segment in scene.segments if segment.material.emission > 0)
-    reflectance = max(segment.material.reflectance for segment in scene.segments)
-    sensor = scene.sensor
+    emission, lamps, reflectance, sensor = scene.emission, scene.lamp_length, scene.reflectance, scene.sensor
     if not isinstance(sensor, Pinhole):
         k = scene.sensor_segment
         assert k is not None

@@ -46,8 +46,7 @@ class LightTracing(Integrator):
     """Whether to leave out what it can not make."""
 
     def check(self, scene: Scene, edges: int) -> None:
-        mirrors = any(segment.material.mirror > 0 for segment in scene.segments)
-        if self.partial or not isinstance(scene.sensor, Pinhole) or not mirrors or edges == 1:
+        if self.partial or not isinstance(scene.sensor, Pinhole) or not scene.mirrors or edges == 1:
             return
         paths = Paths(scene, edges)
         all_of_it, unseen = np.asarray(_unseen(multiplexed(paths, None, None)), np.float64)

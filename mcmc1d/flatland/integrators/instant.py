@@ -106,8 +106,7 @@ class InstantRadiosity(Passes):
         require(bool(self.clamp > 0), f"InstantRadiosity: clamp must be positive, not {self.clamp}; inf clamps nothing")
 
     def check(self, scene: Scene, edges: int) -> None:
-        mirrors = any(segment.material.mirror > 0 for segment in scene.segments)
-        if self.partial or not mirrors or (edges == 1 and isinstance(scene.sensor, Pinhole)):
+        if self.partial or not scene.mirrors or (edges == 1 and isinstance(scene.sensor, Pinhole)):
             return
         paths, key = Paths(scene, edges), jax.random.key(0)
         lost = bootstrap(key, _left_out(paths, np.inf), _LOOKED_AT, np.inf).mean.item()
@@ -148,11 +147,10 @@ class InstantRadiosity(Passes):
         paths = Paths(scene, edges)
         if edges == 1 and not paths.sensor.places:
             return brightest(scene, edges)
-        if np.isinf(self.clamp) or any(segment.material.glossy > 0 for segment in scene.segments):
+        if np.isinf(self.clamp) or scene.glossy:
             return np.inf  # neither has G a bound, nor a glossy lobe's f_r at grazing angles
         # A virtual lamp sends the emission times all lamps' length, and loses some at each wall; so does a camera path.
-        lamps = sum(segment.length for segment in scene.segments if segment.material.emission > 0)
-        joined = float(self.clamp) * lamps * brightest(scene, edges) / 2
+        joined = float(self.clamp) * scene.lamp_length * brightest(scene, edges) / 2
         upon = brightest(scene, edges) if paths.walls.mirrors else 0.0  # lamps that the camera sees in mirrors
         return sum(t <= edges for t in _lengths(paths)) * joined + upon
 

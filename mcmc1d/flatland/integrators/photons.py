@@ -86,11 +86,11 @@ class PhotonDensity(Passes):
         upon = 0.0 if paths.sensor.places else light  # a lamp that the camera comes upon
         if _landings(paths) == 0:
             return upon
-        if any(segment.material.glossy > 0 for segment in scene.segments):
+        if scene.glossy:
             return np.inf  # at grazing angles f_r has no bound
         # A photon has twice the emission times all lamps' length, a Lambert wall sends on rho / 2 of what arrives.
         lengths = [segment.length for segment in scene.segments]
-        flux = light * sum(s.length for s in scene.segments if s.material.emission > 0)
+        flux = light * scene.lamp_length
         meetings = edges - 1 if paths.walls.mirrors and not paths.sensor.places else 1
         return upon + meetings * flux / min(float(self.radius), *lengths)
 

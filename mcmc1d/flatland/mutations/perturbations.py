@@ -12,34 +12,37 @@ _STEP = ExponentialStep(1e-3, 0.05)
 """A tenth of a pixel of a hundred, to a twentieth of the film (Veach and Guibas 1997, section 7)."""
 
 
-class LensPerturbation(Mutation):
+class Perturbation(Mutation):
+    """A mutation that steps some of the path's numbers, and keeps the others."""
+
+    step: ExponentialStep | SmallStep = _STEP
+
+    def change(
+        self, target: Multiplexed, u: Float[Array, " m"], w: Float[Array, " m"]
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+        proposal = self.step.propose(target, State(0, u), w)
+        return proposal.state.u, proposal.w
+
+
+class LensPerturbation(Perturbation):
     """Moves the path on the film: traced again from the sensor, by mirrors, to the first wall that is none.
 
     That wall is joined to the rest of the path, which is kept; so the next vertex must not be a mirror's bounce either,
     unless the wall is the lamp. Veach and Guibas 1997, section 5.3.2: paths (L|D)DS*E.
     """
 
-    step: ExponentialStep | SmallStep = _STEP
-
     def plan(self, here: Layout, seen: Seen, number: Scalar) -> Plan:
         j = first_diffuse(seen, 1)
         applies = (j == seen.edges) | ~at(seen, j + 1)
         return Plan(only(here, seen, j + 1, applies, number), jnp.arange(here.dim_u) <= here.paths.sensor.places)
 
-    def change(
-        self, target: Multiplexed, u: Float[Array, " m"], w: Float[Array, " m"]
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        return stepped(self.step, target, u, w)
 
-
-class CausticPerturbation(Mutation):
+class CausticPerturbation(Perturbation):
     """Moves a caustic: the last wall before the mirrors next to what is seen sends its light in another direction.
 
     Traced by mirrors to a wall, which is joined to the pinhole: Veach and Guibas 1997, section 5.3.3, paths (L|D)S*DE.
     A wall sensor is such a wall itself and is hit.
     """
-
-    step: ExponentialStep | SmallStep = _STEP
 
     def plan(self, here: Layout, seen: Seen, number: Scalar) -> Plan:
         t = here.lengths[0]
@@ -49,20 +52,13 @@ class CausticPerturbation(Mutation):
         turned = here.dim_u - 2 - 2 * (seen.edges - j)
         return Plan(only(here, seen, jnp.asarray(t), applies, number), jnp.arange(here.dim_u) == turned)
 
-    def change(
-        self, target: Multiplexed, u: Float[Array, " m"], w: Float[Array, " m"]
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        return stepped(self.step, target, u, w)
 
-
-class MultiChainPerturbation(Mutation):
+class MultiChainPerturbation(Perturbation):
     """The lens perturbation for paths that come to mirrors again: each wall on the way is left in a new direction.
 
     As far as the first edge between two walls that are no mirrors, which is joined anew, or as the lamp. Veach and
     Guibas 1997, section 5.3.4: paths (D|L)DS+DS+E. Where no mirror follows the first wall it is the lens perturbation.
     """
-
-    step: ExponentialStep | SmallStep = _STEP
 
     def plan(self, here: Layout, seen: Seen, number: Scalar) -> Plan:
         most, places = len(seen.mirror) - 1, here.paths.sensor.places
@@ -75,11 +71,6 @@ class MultiChainPerturbation(Mutation):
             turned = (jnp.arange(here.dim_u) == places + 2 * j) & (j < last) & ~seen.mirror[j]
             again = again | turned
         return Plan(only(here, seen, last + 1, jnp.ones((), bool), number), again)
-
-    def change(
-        self, target: Multiplexed, u: Float[Array, " m"], w: Float[Array, " m"]
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        return stepped(self.step, target, u, w)
 
 
 def first_diffuse(seen: Seen, start: int) -> Index:
@@ -102,14 +93,6 @@ def only(here: Layout, seen: Seen, t: Index, applies: Bool[Array, ""], number: S
         jnp.where(applies & (seen.edges == k) & (t == length), one, 0)
         for k, length in zip(here.edges, here.lengths, strict=True)
     )
-
-
-def stepped(
-    step: ExponentialStep | SmallStep, target: Multiplexed, u: Float[Array, " m"], w: Float[Array, " m"]
-) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """Every number stepped, and the numbers of the step back."""
-    proposal = step.propose(target, State(0, u), w)
-    return proposal.state.u, proposal.w
 
 
 EXAMPLES = Examples(

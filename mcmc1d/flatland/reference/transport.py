@@ -79,12 +79,11 @@ def converged(scene: Scene, resolution: Resolution | None = None) -> Reference:
 
 
 def _compared(scene: Scene, resolution: Resolution | None, compute) -> Reference:
-    glossy = any(segment.material.glossy > 0 for segment in scene.segments)
-    coarse = resolution or (LARGE if len(scene.segments) >= _MANY else GLOSSY if glossy else SMALL)
+    coarse = resolution or (LARGE if len(scene.segments) >= _MANY else GLOSSY if scene.glossy else SMALL)
     first, _ = compute(coarse)
     second, left_out = compute(coarse.finer())
     rounding = 1e-13 * np.abs(second).max(initial=0)
-    worst = (3 if glossy else 1) * np.abs(second - first).max(1, keepdims=True)
+    worst = (3 if scene.glossy else 1) * np.abs(second - first).max(1, keepdims=True)
     return Reference(second, np.broadcast_to(worst + rounding + left_out, second.shape).copy())
 
 
@@ -93,7 +92,7 @@ class _Transport:
 
     def __init__(self, scene: Scene, depth: int, resolution: Resolution):
         materials = [segment.material for segment in scene.segments]
-        if not any(m.mirror > 0 for m in materials):
+        if not scene.mirrors:
             depth = 0
         steepest = max((m.exponent for m in materials if m.glossy > 0), default=0)
         self.scene, self.depth, self.resolution = scene, depth, resolution
@@ -235,7 +234,7 @@ class _Transport:
         missed = max(op.missed for op in (self.nodes, self.film, self.glossy and self.glossy[0]) if op is not None)
         if missed <= _FAINT:
             return 0.0
-        reflectance = max(segment.material.reflectance for segment in self.scene.segments)
+        reflectance = self.scene.reflectance
         require(
             reflectance < 1,
             f"converged: scene {self.scene.name} has mirrors that hand light on for ever; let them absorb a little",
