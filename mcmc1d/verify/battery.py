@@ -26,6 +26,7 @@ from mcmc1d.verify.subject import Look
 # The CDF of a continuous statistic is looked up at so many equal steps of probability: what lies between them and is
 # missed is a gap of 6e-5 at most, which is added to the smallest detectable one.
 FINE = 2**14
+ASTRAY = 0.01  # the share of a one-sample test's level at which too many replicas lie in no cell of the law
 POOLED = 64  # cells of a one-sample binomial test: narrow enough for a bump, few enough for the union bound
 
 
@@ -62,6 +63,11 @@ class Test(abc.ABC):
     @abc.abstractmethod
     def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
         """Integer arrays of fixed shapes."""
+
+    @property
+    def headline(self) -> bool:
+        """Whether it is of a coordinate's own law, whose gap a report states."""
+        return self.layer == "marginal"
 
     @property
     def resolution(self) -> float:
@@ -114,14 +120,18 @@ class OneSample(Test):
             cell = np.where(picked.none, cells, evaluate(self.name, self.statistic, picked.points))
         else:
             cell = evaluate(self.name, self.statistic, replicas.look.positions)
-        # What lies in no cell is counted after them all: it has probability zero, and one is one too many.
+        # What lies in no cell is counted after them all.
         size = len(self.masses) + 1
         return (np.bincount(np.where(cell < 0, size - 1, cell), minlength=size),)
 
     def p_value(self, counts: tuple[np.ndarray, ...]) -> float:
-        inside, outside = counts[0][:-1], counts[0][-1]
-        if outside:
-            return 0.0
+        inside, astray = counts[0][:-1], counts[0][-1:]
+        # The law's own draws are all in cells, or it is refused: of either, none would be astray as often as the other.
+        return min(1.0, self._p_value_inside(inside) / (1 - ASTRAY), sign_p_value(astray, 0 * astray) / ASTRAY)
+
+    def _p_value_inside(self, inside: np.ndarray) -> float:
+        if not inside.any():
+            return 1.0
         if not self._ordered:
             return p_value_of_cells(inside, self.masses)
         pooled = [pool(part, POOLED, self.deposits) for part in (inside, self.masses)]
@@ -141,7 +151,7 @@ class OneSample(Test):
         if not self._ordered:
             return None
         own = 1 / FINE if isinstance(self.statistic, Continuous) else 0
-        return self.max_weight * smallest_gap(n, level, miss) + own
+        return self.max_weight * smallest_gap(n, level * (1 - ASTRAY), miss) + own
 
     def measured_gap(self, counts: tuple[np.ndarray, ...]) -> float:
         """The gap of the two CDFs, what lies in no cell above them all; of unordered cells, the largest difference."""
@@ -210,6 +220,12 @@ class TwoSample(Test):
     ordered: bool = True
     deposits: bool = False
     max_weight: float = 1.0
+    auxiliary: bool = False
+    """Whether it is of a coordinate that says nothing more than others do."""
+
+    @property
+    def headline(self) -> bool:
+        return self.layer == "marginal" and not self.auxiliary
 
     def count(self, replicas: Replicas) -> tuple[np.ndarray, ...]:
         cells = len(self.ends) + 1
@@ -266,7 +282,8 @@ def coordinates(positions: Position) -> dict[str, np.ndarray]:
     result = {}
     for path, leaf in leaves:
         name = ".".join(str(getattr(key, "key", getattr(key, "idx", getattr(key, "name", key)))) for key in path) or "x"
-        columns = np.asarray(leaf).reshape(len(leaf), -1)
+        array = np.asarray(leaf)
+        columns = (array.astype(np.int8) if array.dtype == bool else array).reshape(len(leaf), -1)
         own = [name] if np.ndim(leaf) == 1 else [f"{name}[{k}]" for k in range(columns.shape[1])]
         twice = [each for each in own if each in result]
         require(not twice, f"two coordinates of a position would be called {twice[:1]}; name them otherwise")

@@ -3,14 +3,14 @@
 import itertools
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import numpy as np
 
 from mcmc1d.numerics import require
-from mcmc1d.verify.battery import POOLED, OneSample, Test, TwoSample, coordinates
+from mcmc1d.verify.battery import POOLED, OneSample, Test, TwoSample, coordinates, evaluate
 from mcmc1d.verify.exchangeability import Crossed, Exchangeable
 from mcmc1d.verify.forgetting import Partition
 from mcmc1d.verify.law import Bins, Continuous, Law, Position, Statistic
@@ -23,6 +23,8 @@ _TRIPLES = 5  # coordinates at most of which every three are looked at jointly
 _MOST_PAIRS = 64  # of coordinates that are looked at jointly, where there are more than eight
 _CROSSED = 4  # cells of each of two coordinates whose first and last values are compared
 _DECILES = 10
+_ROUNDINGS = 16  # of a float, that two values of a discrete law may be apart and are one
+_DISTINCT = 512  # values from which on a law is taken for continuous
 _PAIRS = 12  # cells of a statistic whose first and last values are compared: 66 pairs
 
 
@@ -40,20 +42,15 @@ def design(
     A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are the density and joint
     cells: of every two coordinates (beyond eight coordinates, of neighbours and others, 64 pairs in all) and, of up to
     five, of every three; from four on, the orthants about the medians of up to eight neighbours at once.
-    Auxiliary coordinates named "u" stay out of the joint cells. Deposits are held to the law of the positions, or to
+    The law's auxiliary coordinates stay out of the joint cells. Deposits are held to the law of the positions, or to
     what is known of their own, `deposited`; `max_weight` is the largest total weight of a step over the expected one.
-    Raises `ValueError` for a CDF that falls.
+    Raises `ValueError` for a CDF that falls, and for a statistic that has a coordinate's name and is not its law.
     """
-    known = dict(law.statistics)
     columns = coordinates(draws)
-    scalar = len(columns) == 1
-    if law.cdf is not None:
-        known |= _marginals(law, draws, columns)
-    elif law.bins is not None:
-        known |= {"x": Bins(*(np.asarray(part, np.float64) for part in law.bins)).statistic()}
+    known = _known(law, draws, columns)
+    scalar, main = len(columns) == 1, main_coordinates(law, draws)
     tests: list[Test] = []
     for name, statistic in known.items():
-        _require_rising(law, name, statistic, draws)
         ordered = isinstance(statistic, Continuous) or statistic.ordered
         layer = "marginal" if ordered and (name in columns or scalar) else "joint"
         tests.append(OneSample(name, statistic, layer, places=_places(statistic, draws)))
@@ -64,15 +61,17 @@ def design(
         column = _Column(name)
         ends = _quantiles(values, _CUTS)
         if name not in known and len(ends):
-            tests.append(TwoSample(name, column, ends, ordered=bool(np.ptp(values) > 0)))
+            varies = bool(np.ptp(values) > 0)
+            tests.append(TwoSample(name, column, ends, ordered=varies, auxiliary=varies and name not in main))
             if deposited is None and name in points:
                 tests.append(TwoSample(name, column, ends, "deposits", deposits=True, max_weight=max_weight))
         ends = _quantiles(values, _PAIRS)
         if reversible and np.ptp(values) > 0:
             tests.append(Exchangeable(name, column, ends, 1e-4 * float(np.ptp(np.quantile(values, [0.05, 0.95])))))
-    main = [name for name, values in columns.items() if np.ptp(values) > 0 and not auxiliary(name)]
     if len(main) > 1:
-        for group in (group for group in _groups(main) if ", ".join(group) not in known):
+        # What a user calls like a group need not be its cells.
+        exact = known if law.auxiliary else {}
+        for group in (group for group in _groups(main) if ", ".join(group) not in exact):
             inner = tuple((name, _quantiles(columns[name], _JOINT.get(len(group), 2))) for name in group)
             joint = _Joint(inner)
             ends = np.arange(1, joint.cells) - 0.5
@@ -91,13 +90,10 @@ def _crossed(a: str, b: str, columns: Mapping[str, np.ndarray]) -> Crossed:
     return Crossed(f"{a} with {b}", (_Column(a), _Column(b)), ends)
 
 
-def partitions(draws: Position) -> list[Partition]:
+def partitions(law: Law, draws: Position) -> list[Partition]:
     """Coarse cells that show a law that is far off: deciles of coordinates, quadrants of pairs, octants of three."""
-    columns = {
-        name: values for name, values in coordinates(draws).items() if np.ptp(values) > 0 and not auxiliary(name)
-    }
-    groups = [(name,) for name in columns]
-    groups += _pairs(list(columns)) + [group for group in [tuple(columns)] if len(group) == 3]
+    columns, names = coordinates(draws), main_coordinates(law, draws)
+    groups = [(name,) for name in names] + _pairs(names) + [group for group in [tuple(names)] if len(group) == 3]
     cells = [
         _Joint(tuple((name, _quantiles(columns[name], _DECILES if len(group) == 1 else 2)) for name in group))
         for group in groups
@@ -116,9 +112,13 @@ def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:
     return near + [others[k] for k in np.sort(chosen)]
 
 
-def auxiliary(name: str) -> bool:
-    """Whether a coordinate is of a chain's primary sample, which goes with what is sampled."""
-    return name == "u" or name.startswith("u[")
+def main_coordinates(law: Law, draws: Position) -> list[str]:
+    """The coordinates that vary, but for the law's auxiliary ones."""
+    return [
+        name
+        for name, values in coordinates(draws).items()
+        if np.ptp(values) > 0 and name.partition("[")[0] not in law.auxiliary
+    ]
 
 
 @dataclass(frozen=True)
@@ -158,6 +158,20 @@ class _Energy:
 
     def __call__(self, where: Position) -> np.ndarray:
         return np.asarray(self.batch(where))
+
+
+def _known(law: Law, draws: Position, columns: Mapping[str, np.ndarray]) -> dict[str, Statistic]:
+    """All of which exact values are known, by name."""
+    known = dict(law.statistics)
+    if law.cdf is not None:
+        known |= _marginals(law, draws, columns)
+    elif law.bins is not None:
+        known |= {"x": Bins(*(np.asarray(part, np.float64) for part in law.bins)).statistic()}
+    for name, statistic in known.items():
+        _require_rising(law, name, statistic, draws)
+        if name in columns:
+            known[name] = _own(law, name, statistic, draws, columns[name])
+    return known
 
 
 def _marginals(law: Law, draws: Position, columns: Mapping[str, np.ndarray]) -> dict[str, Continuous]:
@@ -220,6 +234,30 @@ def _require_rising(law: Law, name: str, statistic: Statistic, draws: Position) 
         )
 
 
+def _own(law: Law, name: str, statistic: Statistic, draws: Position, values: np.ndarray) -> Statistic:
+    """A statistic that has a coordinate's name, once it is known to be a law of that coordinate, or `ValueError`.
+
+    Cells that hold many values each are intervals, whose inside is not seen: `cut`.
+    """
+    if isinstance(statistic, Continuous):
+        same = np.allclose(np.asarray(statistic.value(draws), np.float64), np.asarray(values, np.float64), rtol=1e-5)
+    else:
+        cell = evaluate(name, statistic, draws)
+        values, cell = values[cell >= 0], cell[cell >= 0]
+        different = len(np.unique(values))
+        pairs = len(np.unique(np.stack([values, cell]), axis=1).T)
+        rising = bool(np.all(np.diff(cell[np.argsort(values)]) >= 0))
+        same = rising if statistic.ordered else pairs == different == len(np.unique(cell))
+        if same and statistic.ordered and not statistic.cut:
+            statistic = replace(statistic, cut=different > 4 * len(statistic.masses))
+    require(
+        same,
+        f"{law.name}: the statistic {name!r} is called like a coordinate of the positions, and is another function of "
+        "them: the coordinate's own law would not be tested; give it another name",
+    )
+    return statistic
+
+
 def _places(statistic: Statistic, draws: Position) -> np.ndarray | None:
     """A continuous statistic's values at the ends of the pooled cells, as near as the draws tell."""
     if not isinstance(statistic, Continuous):
@@ -228,15 +266,43 @@ def _places(statistic: Statistic, draws: Position) -> np.ndarray | None:
 
 
 def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
-    """Inner ends of about equally probable cells; of discrete values, halfway between the ones that occur."""
-    values = np.asarray(values, np.float64)
+    """Inner ends of about equally probable cells, none on a value that occurs: a last bit must not decide.
+
+    Of discrete values they are halfway between the ones that occur; what differs by a few roundings is one value.
+    """
+    values = np.asarray(values)
+    values = values[np.isfinite(values)]  # a log-density may be -inf
+    if not values.size:
+        return values.astype(np.float64)
+    noise = (
+        _ROUNDINGS * float(np.finfo(values.dtype).eps) * float(np.abs(values).max()) if values.dtype.kind == "f" else 0
+    )
+    values = values.astype(np.float64)
     different = np.unique(values)
-    if len(different) == 1:  # what the law never changes, a kernel must not
-        return np.array([np.nextafter(different[0], -np.inf), np.nextafter(different[0], np.inf)])
-    if len(different) <= cells:
-        return (different[1:] + different[:-1]) / 2
-    ends = np.unique(np.quantile(values, np.arange(1, cells) / cells))
-    return ends[ends > different[0]]
+    groups = _together(different, noise)
+    if len(groups) == 1:  # what the law never changes, a kernel must not
+        return np.array([np.nextafter(different[0] - noise, -np.inf), np.nextafter(different[-1] + noise, np.inf)])
+    firsts, lasts = different[groups], different[np.append(groups[1:], len(different)) - 1]
+    between = (lasts[:-1] + firsts[1:]) / 2
+    if len(groups) <= cells:
+        return between
+    # The end under each quantile; of values that are no more than roundings apart, the widest gap of a few.
+    at = np.searchsorted(firsts, np.quantile(values, np.arange(1, cells) / cells), side="right") - 2
+    near = np.unique(np.clip(at, 0, None))
+    if len(groups) == len(different) > _DISTINCT:
+        around = np.clip(near[:, None] + np.arange(-2, 3), 0, len(between) - 1)
+        near = np.unique(around[np.arange(len(near)), np.argmax(np.diff(different)[around], axis=1)])
+    return between[near]
+
+
+def _together(different: np.ndarray, noise: float) -> np.ndarray:
+    """Where a new value begins among rising ones, of which those within `noise` are one; of many, each is its own."""
+    if len(np.unique(np.round(different / noise))) > _DISTINCT if noise else True:
+        return np.arange(len(different))
+    starts = [0]
+    while (following := int(np.searchsorted(different, different[starts[-1]] + noise, side="right"))) < len(different):
+        starts.append(following)
+    return np.array(starts)
 
 
 def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
@@ -246,9 +312,9 @@ def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
     return list(dict.fromkeys([*_pairs(names), *triples, *(block for block in blocks if len(block) > 2)]))
 
 
-def unseen(draws: Position) -> list[str]:
+def unseen(law: Law, draws: Position) -> list[str]:
     """What no test looks at, in words: what a PASS says nothing of."""
-    names = [name for name, values in coordinates(draws).items() if np.ptp(values) > 0 and not auxiliary(name)]
+    names = main_coordinates(law, draws)
     if len(names) <= 3:
         return []
     least = "four" if len(names) <= _TRIPLES else "three"

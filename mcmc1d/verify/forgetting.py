@@ -55,12 +55,13 @@ def forgets(
     fresh: Position,
     seed: Sequence[int],
     inspect: Callable[[Position, Look, int], list[str]],
+    outside: Callable[[Position, Look, int], tuple[int, str]],
 ) -> Forgetting:
     """Walk from each of `starts`, n replicas at each, until every law is near the right one, in CDF and on a few cells.
 
     Near is three times the DKW deviation of n draws at probability 1e-3. After powers of four of steps, and once more a
     step later: a chain that runs through several laws in turn is near the right one in the mean only. `fresh`: n exact
-    draws to compare with. `inspect` says what is wrong with states.
+    draws to compare with. `inspect` says what is wrong with states, `outside` how many are not in the support.
     """
     begin = time.process_time()
     n, groups = len(jax.tree.leaves(fresh)[0]), len(starts)
@@ -75,6 +76,11 @@ def forgets(
         for k, look in enumerate(looks):
             if wrong := inspect(start, look, t + k):
                 return Forgetting(reasons=wrong)
+            count, example = outside(start, look, t + k)
+            if count:
+                return Forgetting(
+                    doubts=[f"of {groups * n} replicas from bad starts {count} leave the support, {example}"]
+                )
         last = coordinates(looks[1].positions)
         gaps = []
         for g in range(groups):

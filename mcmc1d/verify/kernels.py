@@ -15,6 +15,8 @@ from mcmc1d.types import Array, Key
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.subject import PICK, Look, Subject, drawn, key_of, pick
 
+_FEW = 16  # positions on which init is tried
+
 
 class JaxKernel(eqx.Module):
     """A kernel as JAX functions of one chain, with whatever state it carries from step to step.
@@ -94,6 +96,10 @@ class JaxSubject(Subject):
             _alike(here, one),
             f"{self.name}: the position read back is {_shapes(here)}, and the law's positions are {_shapes(one)}",
         )
+        if self.kernel.init is not None:
+            few = jax.tree.map(lambda a: jnp.asarray(a[:_FEW]), start)
+            state = _begin(self.kernel, key, jnp.arange(len(jax.tree.leaves(few)[0])), few)
+            _require_kept(self.name, few, jax.vmap(self.kernel.where)(state))
         if self.kernel.deposits is not None:
             self._check_deposits(self.kernel.deposits, after, out[1] if self.returns_info else None)
 
@@ -161,11 +167,19 @@ class HostSubject(Subject):
             f"{self.name} must return arrays of the shapes it was given, {before}; it returned "
             f"{jax.tree.map(np.shape, after)}",
         )
+        _require_kept(self.name, few, self._where(self._begin(np.random.default_rng(0), few)))
         where = self._where(after)
         require(
             _shapes(where) == _shapes(few),
             f"{self.name}: the positions it returns are {_shapes(where)}, and those it was given {_shapes(few)}",
         )
+
+    def drawn(self, start: Position) -> bool:
+        if self.kernel.init is None:
+            return False
+        few = jax.tree.map(lambda a: np.array(a[:_FEW]), start)
+        one, two = (jax.tree.leaves(self._begin(np.random.default_rng(seed), few)) for seed in (0, 1))
+        return any(not np.array_equal(a, b) for a, b in zip(one, two, strict=True))
 
     def _begin(self, rng: np.random.Generator, start: Position) -> Any:
         return start if self.kernel.init is None else self.kernel.init(rng, start)
@@ -183,6 +197,17 @@ class HostSubject(Subject):
                 state = self.kernel.step(rng, state)
             yield Look(jax.tree.map(np.array, self._where(state)))
             done = time
+
+
+def _require_kept(name: str, start: Position, where: Position) -> None:
+    """Raise `ValueError` unless the state that `init` made of each position is at that position."""
+    leaves = (map(np.asarray, jax.tree.leaves(tree)) for tree in (start, where))
+    for before, after in zip(*leaves, strict=True):
+        if before.shape == after.shape and not np.allclose(before, after, rtol=1e-4, atol=1e-6, equal_nan=True):
+            k = int(np.argmax(np.abs(before - after).reshape(len(before), -1).max(1)))
+            raise ValueError(
+                f"{name}: init must keep the position, which is then read back: given {before[k]}, it is {after[k]}"
+            )
 
 
 @quickly

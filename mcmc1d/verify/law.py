@@ -19,6 +19,10 @@ Position: TypeAlias = Any
 SampleFn: TypeAlias = Callable[[np.random.Generator, int], Position]
 
 
+class LawError(ValueError):
+    """The law contradicts itself: its sampler and its exact values disagree."""
+
+
 @dataclass(frozen=True)
 class Continuous:
     """A real function of the position whose exact CDF is known and continuous."""
@@ -69,10 +73,16 @@ class Law:
     log_density: Callable[[Any], Any] | None = None
     """Of one position, by JAX, up to a constant: its law is tested too, and adapters hand it to kernels."""
     support: tuple[Any, Any] | Callable[[Position], np.ndarray] | None = None
-    """The corners of a closed box, or a function of n positions to n booleans; a state outside of it is a failure."""
+    """The corners of a closed box, or a function of n positions to n booleans.
+
+    Many replicas outside of it are a failure, a few a doubt, a draw of `sample` outside an error.
+    """
     bad_start: Position | None = None
     """One position (without the leading axis) that is hard to leave; the least likely of many draws unless given."""
     name: str = "law"
+    auxiliary: tuple[str, ...] = ()
+    """Coordinates that say nothing more than others do, such as a chain's primary sample: they stay out of joint cells.
+    """
 
     def __post_init__(self):
         require(callable(self.sample), f"{self.name}: sample must be a function (rng, n) -> positions")
@@ -178,7 +188,7 @@ def multiplexed_law(target: Multiplexed) -> Law:
             statistics["index"] = Discrete(lambda where: where["index"], joint.sum(1), ordered=True)
     elif np.shape(lower) == (2,):
         statistics |= _planar(target)
-    return Law(sample=sample, statistics=statistics, name=type(target.target).__name__)
+    return Law(sample=sample, statistics=statistics, name=type(target.target).__name__, auxiliary=("u",))
 
 
 def _planar(target: Multiplexed) -> dict[str, Statistic]:

@@ -22,7 +22,7 @@ class Scheme:
     look: float = 0.09
     """The share of the level that is spent on the early look."""
     motion: float = 0.01
-    """The share of the level at which a coordinate that no replica has moved fails."""
+    """The share of the level for a coordinate that no replica has moved, and for replicas outside of the support."""
 
     def __post_init__(self):
         require(0 < self.level < 0.5, f"the level must lie between 0 and 0.5, not at {self.level}")

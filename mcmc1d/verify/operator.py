@@ -32,6 +32,8 @@ DEFAULT_X = {1: 200, 2: 100, 3: 40}
 """Intervals of a scalar x, which cut the same cells again: a jump keeps x, and must not seem to diffuse in it."""
 
 
+_PROBES = 2**12
+"""Of a plain density, for its largest logarithm."""
 _UNKNOWN = 0.1
 """Noise from which on a law is none, and mass below zero that extrapolation does not explain."""
 
@@ -291,7 +293,11 @@ def step_operator(
         f"step_operator: log_density of a position of shape {lower.shape} must be one number, not of shape "
         f"{np.shape(density)}",
     )
-    flux = StepFlux(step, log_density, lower, upper)
+    places = np.random.default_rng(seed).random((_PROBES, lower.size))
+    values = np.asarray(jax.vmap(log_density)(jnp.asarray(lower + (upper - lower) * places)), np.float64)
+    top = float(np.max(values, where=np.isfinite(values), initial=-np.inf))
+    require(top > -np.inf, "step_operator: the density is zero, or not a number, everywhere in the box")
+    flux = StepFlux(step, log_density, lower, upper, top)
     return Operator(measure(flux, 1, counts, points=points, scrambles=scrambles, seed=seed))
 
 

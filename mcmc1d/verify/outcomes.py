@@ -103,6 +103,8 @@ class StepFlux(eqx.Module):
     log_density: Callable[[Array], Scalar]
     lower: Float[np.ndarray, " d"]
     upper: Float[np.ndarray, " d"]
+    top: float = 0.0
+    """The largest logarithm of the density: no law depends on a constant, and an exponential does not overflow."""
     kinds: tuple[str, ...] = eqx.field(static=True, default=("step",))
     lead: int = eqx.field(static=True, default=0)
 
@@ -116,7 +118,7 @@ class StepFlux(eqx.Module):
         position = jnp.asarray(self.lower + (self.upper - self.lower) * numbers)
         key = jax.random.wrap_key_data(counter)
         after = jnp.reshape(self.step(key, position), position.shape)
-        weight = jnp.exp(self.log_density(position))
+        weight = jnp.exp(self.log_density(position) - self.top)
         return Outcomes(State(index, position), weight, [State(index, after)], [jnp.ones_like(weight)], [0])
 
     def coordinates(self, state: State) -> Float[Array, " d"]:

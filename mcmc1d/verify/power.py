@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcmc1d.verify.battery import OneSample, Test
-from mcmc1d.verify.design import auxiliary
 from mcmc1d.verify.ledger import Scheme
 
 LEAST = 16
@@ -71,5 +70,5 @@ class Power:
 
     @property
     def headline(self) -> list[Test]:
-        """The tests of the coordinates' own laws, those of a chain's primary sample left out."""
-        return [test for test in self.tests if test.layer == "marginal" and not auxiliary(test.name)]
+        """The tests of the coordinates' own laws, the auxiliary ones left out."""
+        return [test for test in self.tests if test.headline]

@@ -13,7 +13,7 @@ import numpy as np
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates
 from mcmc1d.verify.forgetting import point
-from mcmc1d.verify.law import Law, Position
+from mcmc1d.verify.law import Law, LawError, Position
 from mcmc1d.verify.subject import Look, Subject
 
 _CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
@@ -32,6 +32,10 @@ class Tally:
     """Coordinates that no replica has moved, though the law varies in them."""
     wrong: list[str] = field(default_factory=list)
     """States that no kernel may return."""
+    outside: dict[int, int] = field(default_factory=dict)
+    """By steps, how many replicas were outside of the support, in which all of the law's own draws were."""
+    example: str = ""
+    """One of them, in words."""
 
     def add(self, other: "Tally") -> None:
         """Take in another tally."""
@@ -42,6 +46,9 @@ class Tally:
         self.n += other.n
         self.moved += other.moved
         self.wrong += other.wrong
+        for t, count in other.outside.items():
+            self.outside[t] = self.outside.get(t, 0) + count
+        self.example = self.example or other.example
 
 
 @dataclass
@@ -125,6 +132,7 @@ class Sampler:
     def chunk(self, stage: int, chunk: int, n: int) -> Tally:
         """Draw, run and count."""
         start = self.draw("start", stage, chunk, n)
+        self.require_inside(start)
         compared = any(isinstance(test, TwoSample) for test in self.tests)
         fresh = self.draw("fresh", stage, chunk, n) if compared else start
         uniform = np.random.default_rng(self.words("choice", stage, chunk)).random(n)
@@ -140,6 +148,8 @@ class Sampler:
             tally.wrong += self.inspect(start, look, t)
             if tally.wrong:
                 return tally
+            tally.outside[t], example = self.outside(start, look, t)
+            tally.example = tally.example or example
             for k, test in enumerate(self.tests):
                 tally.counts[t, k] = test.count(replicas.at(look))
             after = coordinates(look.positions)
@@ -160,13 +170,6 @@ class Sampler:
                     f"it returns {values[k]} for {name} in {bad.sum()} of {len(bad)} replicas within "
                     f"{t} steps, for one from {point(before, k)}; guard the arithmetic at such points"
                 ]
-        outside = ~inside(self.law, look.positions)
-        if outside.any():
-            k = int(np.argmax(outside))
-            return [
-                f"{outside.sum()} of {len(outside)} replicas leave the support within {t} steps, one from "
-                f"{point(before, k)} to {point(after, k)}; reject such proposals"
-            ]
         picked = look.picked
         if picked is not None:
             require(
@@ -175,6 +178,22 @@ class Sampler:
                 f"least is {picked.least:.6g} and the largest total {picked.most:.6g}: give max_weight= their bound",
             )
         return []
+
+    def outside(self, start: Position, look: Look, t: int) -> tuple[int, str]:
+        """How many replicas lie outside of the law's support, and one of them in words."""
+        astray = ~inside(self.law, look.positions)
+        if not astray.any():
+            return 0, ""
+        k = int(np.argmax(astray))
+        before, after = coordinates(start), coordinates(look.positions)
+        return int(astray.sum()), f"one within {t} steps from {point(before, k)} to {point(after, k)}"
+
+    def require_inside(self, draws: Position) -> None:
+        """Raise `LawError` unless the law's own draws are in its support."""
+        within = inside(self.law, draws)
+        if not within.all():
+            at = point(coordinates(draws), int(np.argmin(within)))
+            raise LawError(f"{self.law.name}: its own draw {at} lies outside its support; mend the one or the other")
 
 
 def inside(law: Law, where: Position) -> np.ndarray:

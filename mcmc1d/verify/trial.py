@@ -9,15 +9,15 @@ import numpy as np
 from mcmc1d.checks import traced
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
-from mcmc1d.verify.design import auxiliary, design, partitions, unseen
+from mcmc1d.verify.design import design, main_coordinates, partitions, unseen
 from mcmc1d.verify.diagnose import diagnose
 from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets, point
-from mcmc1d.verify.law import Position
+from mcmc1d.verify.law import LawError, Position
 from mcmc1d.verify.ledger import Scheme
 from mcmc1d.verify.library import LibrarySubject
 from mcmc1d.verify.power import LEAST, Power
 from mcmc1d.verify.report import Report, Result, Verdict
-from mcmc1d.verify.sampler import Sampler, Tally, inside
+from mcmc1d.verify.sampler import Sampler, Tally
 
 AIM = 0.005
 """The CDF gap that is aimed at unless one is asked for."""
@@ -26,11 +26,9 @@ SETTLE = 0.05
 _LOOKS = 16  # the early look is at this fraction of the first stage
 _RATE = 0.01  # a kernel that moves more often than that does not fail for never having moved
 _ATOM = 16  # draws that are one number: of a continuous law in float32 there are two or three
+_DOUBTFUL = 1e-3  # of a law's own draws, told beside a failure
+_ROUNDED = 0.01  # of the draws, which may lie where the density rounds to zero
 _STARTS = 7  # the least likely draw, and both ends of up to three coordinates
-
-
-class LawError(ValueError):
-    """The law contradicts itself: its sampler and its exact values disagree."""
 
 
 @dataclass
@@ -58,10 +56,8 @@ class Trial:
         """Look at the law and the kernel with a few draws, and choose the tests."""
         sampler, subject = self.sampler, self.sampler.subject
         draws = sampler.draw("design", 0, 0, 2 * REPLICAS)
-        within = inside(sampler.law, draws)
-        if not within.all():
-            at = point(coordinates(draws), int(np.argmin(within)))
-            raise LawError(f"{sampler.law.name}: its own draw {at} lies outside its support; mend the one or the other")
+        sampler.require_inside(draws)
+        self._require_random(draws)
         few = jax.tree.map(lambda a: a[: subject.unit], draws)
         subject.check(few)
         if subject.most is not None:
@@ -110,13 +106,26 @@ class Trial:
         # many as find it at once, get further stages of the same size.
         self.grow = self.grow if needed <= self.n < at_once else 1
 
+    def _require_random(self, draws: Position) -> None:
+        """Raise `LawError` where the law's sampler does not look at its generator: its draws would count many times."""
+        again = coordinates(self.sampler.draw("pilot", 0, 0, 2 * REPLICAS))
+        own = coordinates(draws)
+        if any(np.ptp(values) > 0 for values in own.values()) and all(np.array_equal(own[k], again[k]) for k in own):
+            raise LawError(
+                f"{self.sampler.law.name}: sample(rng, n) gives the same draws whatever rng is; draw them from the "
+                "generator (a JAX key from rng.integers(2**32))"
+            )
+
     def _unlikely(self, draws: Position) -> Position:
         """The draws, the least likely first."""
         log_density = self.sampler.law.log_density
         if log_density is not None:
             with traced(f"{self.sampler.law.name}: log_density, a function of one position,"):
                 values = np.asarray(jax.vmap(log_density)(draws))
-            bad = np.isnan(values) | np.isposinf(values)
+            # A draw may round onto a wall, where the density is zero; a few do.
+            bad = (
+                np.isnan(values) | np.isposinf(values) | (np.isneginf(values) & (np.isneginf(values).mean() > _ROUNDED))
+            )
             if bad.any():
                 at = point(coordinates(draws), int(np.argmax(bad)))
                 raise LawError(f"{self.sampler.law.name}: its log_density is {values[bad][0]} at its own draw {at}")
@@ -141,6 +150,7 @@ class Trial:
                 self._failed(tally)
                 return
             if verdict == "pass":
+                self._stray(tally)
                 break
             n = n * self.grow if stage == 1 else n
         still = f"it never moves: no replica was elsewhere after any of {self.sampler.steps} steps"
@@ -152,9 +162,38 @@ class Trial:
             return
         # Few replicas of a kernel that seldom moves may all stay, in any coordinate; so do many of one that next to
         # never does.
-        chance = self.scheme.level * self.scheme.motion / len(coordinates(self.unlikely))
+        chance = self.scheme.level * self.scheme.motion / 2 / len(coordinates(self.unlikely))
         few = self.deciding.n * np.log1p(-_RATE) > np.log(chance)
         (self.inconclusive if few else self.reasons).append(still)
+
+    def _leaves(self, tally: Tally) -> None:
+        """Fail for too many replicas outside of the support, in which all of the law's own draws are, or it raises.
+
+        Should the law have a thin tail there all the same, a right kernel's replicas are as often outside as the draws:
+        k of the one and none of the other with a probability of 2^-k at most, whenever one looks. Half of
+        `Scheme.motion` is spent on it, over all numbers of steps and stages.
+        """
+        most = max(tally.outside.values(), default=0)
+        chance = self.scheme.level * self.scheme.motion / 2 / (len(self.sampler.steps) * self.scheme.stages)
+        if most * np.log(2) >= -np.log(chance):
+            self.reasons.append(
+                f"{most} of {tally.n} replicas leave the support, {tally.example}; reject such proposals"
+            )
+
+    def _stray(self, tally: Tally) -> None:
+        """Of a few replicas outside of the support, or in no cell of a law, nothing can be concluded."""
+        places = {"outside of the support": max(tally.outside.values(), default=0)}
+        for (t, k), counts in tally.counts.items():
+            if t > 0 and isinstance(self.tests[k], OneSample):
+                places[f"in no cell of {self.tests[k].name}"] = int(counts[0][-1])
+        for where, count in places.items():
+            if count:
+                example = f", {tally.example}" if tally.example else ""
+                self.inconclusive.append(
+                    f"{count} of {tally.n} replicas were {where}{example}: too few to tell a mistake from a tail that "
+                    f"{self.sampler.law.name} leaves out; give the tail to its end cells, or reject such proposals"
+                )
+                return
 
     def _gather(self, stage: int, n: int) -> Tally:
         total, looked = Tally(), False
@@ -164,6 +203,10 @@ class Trial:
                 total.n += tally.n
                 return total
             total.add(tally)
+            self._require_cells(total)
+            self._leaves(total)
+            if self.reasons:
+                return total
             if self.progress is not None:
                 self.progress(total.n, n)
             if stage == 1 and not looked and total.n * _LOOKS >= n:
@@ -172,6 +215,16 @@ class Trial:
                     self._failed(total)
                     return total
         return total
+
+    def _require_cells(self, tally: Tally) -> None:
+        """Raise `LawError` where one of the law's own draws is in no cell of what is known of it."""
+        for (t, k), counts in tally.counts.items():
+            if t == 0 and counts[0][-1]:
+                test = self.tests[k]
+                raise LawError(
+                    f"{self.sampler.law.name}: {counts[0][-1]} of {tally.n} of its own draws are in no cell of "
+                    f"{test.name}, which has no probability for them; give the tails to the end cells"
+                )
 
     def p_values(self, tally: Tally) -> dict[tuple[int, int], float]:
         """Each test's own."""
@@ -192,7 +245,12 @@ class Trial:
             whole = all(np.all(values == np.round(values)) for values in coordinates(self.unlikely).values())
             raise LawError(
                 f"{self.sampler.law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} "
-                f"from {tally.n} draws): {where}. Mend the sampler, the cdf, bins or masses"
+                f"from {tally.n} draws): {where}. "
+                + (
+                    "A technique's log_prob, or the target's bin_masses, is wrong: check_technique tells which"
+                    if self.sampler.law.auxiliary
+                    else "Mend the sampler, the cdf, bins or masses"
+                )
                 + ("; the draws are whole numbers, whose law is given as a verify.Discrete" if whole else "")
                 + self._coarse()
             )
@@ -206,7 +264,14 @@ class Trial:
                 "deposits": f"the deposits' law of {test.name} is wrong {after}",
                 "exchangeability": f"it is declared reversible and is not: {test.name} {after}",
             }[test.layer]
+            + self._of_the_law(values.get((0, worst[1])))
         )
+
+    def _of_the_law(self, p: float | None) -> str:
+        """A word where the law's own draws do not quite have the law that the kernel is said to miss."""
+        if p is None or p > _DOUBTFUL:
+            return ""
+        return f" (but so is that of the law's own draws, p = {p:.1e}: look at its sampler and its cdf first)"
 
     def _coarse(self) -> str:
         """A word on draws that are the same number, or so far from zero that their floats are coarse."""
@@ -233,10 +298,10 @@ class Trial:
         n = total // count
         points = jax.tree.map(lambda a: a[:count], points)
         own = [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
-        tests = [*own, *partitions(self.unlikely)]
+        tests = [*own, *partitions(sampler.law, self.unlikely)]
         starts = subject.crowd(points, self.unlikely, n)
         fresh = sampler.draw("forget", 0, 0, n)
-        self.forgotten = forgets(subject, tests, starts, fresh, sampler.words("walk"), sampler.inspect)
+        self.forgotten = forgets(subject, tests, starts, fresh, sampler.words("walk"), sampler.inspect, sampler.outside)
         self.reasons += self.forgotten.reasons
         self.inconclusive += self.forgotten.doubts
 
@@ -246,9 +311,10 @@ class Trial:
         At 1 % and 99 %: at the very ends a right kernel may hardly move (MALA at a wall).
         """
         rows = [0]
-        for name, values in coordinates(self.unlikely).items():
-            if np.ptp(values) > 0 and not auxiliary(name) and len(rows) < _STARTS:
-                order = np.argsort(values, kind="stable")
+        columns = coordinates(self.unlikely)
+        for name in main_coordinates(self.sampler.law, self.unlikely):
+            if len(rows) < _STARTS:
+                order = np.argsort(columns[name], kind="stable")
                 rows += [int(order[len(order) // 100]), int(order[-len(order) // 100])]
         rows = list(dict.fromkeys(rows))
         points = jax.tree.map(lambda a: np.asarray(a)[rows], self.unlikely)
@@ -297,7 +363,7 @@ class Trial:
         balance = "detailed balance: reversible=True declares it, and sees much smaller mistakes"
         untested = [] if subject.reversible else [balance]
         return Report(
-            untested=untested + unseen(self.unlikely),
+            untested=untested + unseen(sampler.law, self.unlikely),
             name=name,
             kernel=subject.name,
             law=sampler.law.name,

@@ -1,0 +1,199 @@
+"""Laws as users write them: names, lattices, thin tails, constants, samplers; none of which may blame a right kernel.
+
+At level 1e-5 a right kernel fails with that probability; 2^15 replicas show a CDF gap of 0.02 to 0.04.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import ndtr
+from scipy.stats import ncx2, norm, poisson
+
+from mcmc1d import Multiplexed
+from mcmc1d.moves import SmallStep
+from mcmc1d.targets import Sinusoid
+from mcmc1d.techniques import Technique, Uniform
+from mcmc1d.verify import Continuous, Discrete, HostKernel, JaxKernel, Law, LawError, Verdict, step_operator, verify
+
+SIZE = {"replicas": 2**15}
+
+
+def pair(a, b, correlation):
+    """A correlated normal pair whose coordinates have these names, and exact draws of it as a kernel."""
+    spread = np.sqrt(1 - correlation**2)
+
+    def sample(rng, n):
+        z = rng.normal(size=(2, n))
+        return {a: z[0], b: correlation * z[0] + spread * z[1]}
+
+    def kernel(key, _):
+        z = jax.random.normal(key, (2,))
+        return {a: z[0], b: correlation * z[0] + spread * z[1]}
+
+    marginals = {name: Continuous(lambda p, name=name: p[name], ndtr) for name in (a, b)}
+    return Law(sample, statistics=marginals), kernel
+
+
+@pytest.mark.parametrize("names", [("beta", "u"), ("u", "v")])
+def test_a_coordinate_may_be_called_u(names):
+    """It stayed out of the joint cells, as a chain's primary sample does: a lost correlation of 0.8 passed."""
+    law, right = pair(*names, 0.8)
+    assert verify(right, law, **SIZE).passed
+    assert verify(pair(*names, 0.0)[1], law, **SIZE).verdict is Verdict.FAIL
+
+
+GRID = np.round(np.linspace(-5, 5, 101), 1)
+WEIGHTS = norm.pdf(GRID) / norm.pdf(GRID).sum()
+DECIMALS = Law(lambda rng, n: rng.choice(GRID, n, p=WEIGHTS))
+
+
+def test_a_lattice_of_decimals_is_not_told_apart_by_its_last_bits():
+    """The law's own draws are rounded towards zero, a kernel's table to nearest; ends of cells lay on the values."""
+    grid, weights = jnp.asarray(GRID, jnp.float32), jnp.asarray(WEIGHTS, jnp.float32)
+    flat = jnp.asarray(norm.pdf(GRID, scale=1.1) / norm.pdf(GRID, scale=1.1).sum(), jnp.float32)
+    assert verify(lambda key, x: jax.random.choice(key, grid, p=weights), DECIMALS, reversible=True, **SIZE).passed
+    assert verify(lambda key, x: jax.random.choice(key, grid, p=flat), DECIMALS, **SIZE).verdict is Verdict.FAIL
+
+    def walk(rng, x):
+        y = x + 0.1 * rng.integers(-5, 6, len(x))
+        inside = np.abs(y) < 5.01
+        return np.where(inside & (rng.random(len(x)) < np.exp((x * x - y * y) / 2)), y, x)
+
+    assert verify(HostKernel(walk, reversible=True), DECIMALS, **SIZE).passed
+
+
+def on_circle(rng, n):
+    angle = 2 * np.pi * rng.random(n)
+    return np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+def turned(key, x):
+    angle = 0.5 * jax.random.normal(key)
+    y = jnp.array([jnp.cos(angle) * x[0] - jnp.sin(angle) * x[1], jnp.sin(angle) * x[0] + jnp.cos(angle) * x[1]])
+    return y / jnp.linalg.norm(y)
+
+
+def test_a_density_that_is_constant_but_for_rounding_says_nothing():
+    """Its cells were roundings of -1/2; a kernel that leaves the circle is still seen."""
+    law = Law(on_circle, log_density=lambda x: -0.5 * jnp.sum(x * x))
+    assert verify(turned, law, **SIZE).passed
+    assert verify(lambda key, x: 1.001 * turned(key, x) / jnp.linalg.norm(x), law, **SIZE).verdict is Verdict.FAIL
+
+
+EDGES = np.linspace(-5, 5, 101)
+COUNTS = Discrete(lambda x: x, poisson(4).pmf(np.arange(17)), ordered=True)
+NORMAL = HostKernel(lambda rng, x: rng.normal(size=len(x)))
+POISSON = HostKernel(lambda rng, x: rng.poisson(4, len(x)))
+TAILS = {
+    "support": (Law(lambda rng, n: rng.normal(size=n), cdf=ndtr, support=(-5.0, 5.0)), NORMAL),
+    "bins": (Law(lambda rng, n: rng.normal(size=n), bins=(EDGES, np.diff(ndtr(EDGES)))), NORMAL),
+    "masses": (Law(lambda rng, n: rng.poisson(4, n), statistics={"x": COUNTS}), POISSON),
+}
+
+
+@pytest.mark.parametrize("kind", TAILS)
+def test_a_tail_that_a_law_leaves_out_is_no_mistake_of_the_kernel(kind):
+    """A mass of 6e-7 to 1e-6. One replica of a right kernel there was a failure."""
+    (law, kernel), said = TAILS[kind], set()
+    for seed in range(4):
+        try:
+            report = verify(kernel, law, replicas=2**18, seed=seed, ergodic=False)
+        except LawError as error:
+            said.add("tails to the end cells" in str(error) or "lies outside its support" in str(error))
+            continue
+        assert report.verdict is not Verdict.FAIL
+        said.add(report.passed or "a tail that law leaves out" in report.reasons[0])
+    assert said == {True}
+
+
+@pytest.mark.parametrize(("rate", "verdict"), [(5e-5, Verdict.INCONCLUSIVE), (0.01, Verdict.FAIL)])
+def test_replicas_outside_of_the_support_are_a_doubt_and_many_a_failure(rate, verdict):
+    def kernel(key, x):
+        one, two = jax.random.split(key)
+        return jnp.where(jax.random.uniform(one) < rate, 1.5, jax.random.uniform(two))
+
+    law = Law(lambda rng, n: rng.random(n), cdf=lambda x: np.clip(x, 0, 1), support=(0, 1))
+    report = verify(kernel, law, **SIZE)
+    assert report.verdict is verdict
+    assert "support" in report.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (Law(lambda rng, n: np.random.default_rng(0).normal(size=(n, 2))), "the same draws whatever rng is"),
+        (
+            Law(lambda rng, n: rng.normal(size=(n, 2)), log_density=lambda x: jnp.where(x[0] > 0, 0.0, -jnp.inf)),
+            "log_density is -inf at its own draw",
+        ),
+    ],
+)
+def test_a_sampler_or_density_that_can_not_be_is_refused(law, message):
+    with pytest.raises(LawError, match=message):
+        verify(lambda key, x: jax.random.normal(key, x.shape), law)
+
+
+def test_a_statistic_called_like_a_coordinate_is_its_law():
+    """Or the coordinate's own test was left out; and cells of many values each are told to be intervals."""
+    square = Continuous(lambda p: p["theta"] ** 2, lambda q: ncx2.cdf(q, 1, 1.5**2))
+    law = Law(lambda rng, n: {"theta": 1.5 + rng.normal(size=n)}, statistics={"theta": square})
+    with pytest.raises(ValueError, match="'theta' is called like a coordinate of the positions, and is another"):
+        verify(lambda key, p: {"theta": 1.5 + jax.random.normal(key)}, law)
+    edges = norm.ppf(np.arange(1, 40) / 40)
+    cells = Discrete(lambda x: np.digitize(x, edges), np.full(40, 1 / 40), ordered=True)
+    law = Law(lambda rng, n: rng.normal(size=n), statistics={"x": cells})
+    assert verify(lambda key, x: jax.random.normal(key), law, **SIZE).resolution == pytest.approx(1 / 40)
+
+
+def test_an_init_that_moves_is_refused():
+    law = Law(lambda rng, n: rng.normal(size=(n, 2)), cdf=ndtr)
+    for kernel in (
+        JaxKernel(lambda key, x: x, init=lambda key, x: jax.random.normal(key, (2,))),
+        HostKernel(lambda rng, x: x, init=lambda rng, x: rng.normal(size=x.shape)),
+    ):
+        with pytest.raises(ValueError, match="init must keep the position"):
+            verify(kernel, law)
+
+
+def test_positions_may_be_true_or_false():
+    law = Law(lambda rng, n: rng.random((n, 2)) < 0.3)
+    assert verify(lambda key, x: jax.random.uniform(key, (2,)) < 0.3, law, **SIZE).passed
+    assert verify(lambda key, x: jax.random.uniform(key, (2,)) < 0.4, law, **SIZE).verdict is Verdict.FAIL
+
+
+class WrongDensity(Technique):
+    """x = u^(1/3), said to have the density 2 x."""
+
+    @property
+    def dim_u(self):
+        return 1
+
+    def forward(self, u):
+        return u[0] ** (1 / 3), u[1:], jnp.log(u[0]) * (-2 / 3) - jnp.log(3.0)
+
+    def inverse(self, x, v):
+        return jnp.stack([x**3]), jnp.log(3 * x * x)
+
+    def log_prob(self, x):
+        return jnp.log(2 * x)
+
+
+def test_a_wrong_technique_is_no_wrong_target():
+    with pytest.raises(LawError, match="A technique's log_prob, or the target's bin_masses, is wrong: check_technique"):
+        verify(SmallStep(0.1), Multiplexed(Sinusoid(), (Uniform(), WrongDensity())))
+
+
+@pytest.mark.parametrize("constant", [-500.0, 90.0])
+def test_an_operator_does_not_depend_on_a_constant_of_the_density(constant):
+    def step(key, x):
+        one, two = jax.random.split(key)
+        y = x + jax.random.normal(one, x.shape)
+        accepted = (jnp.log(jax.random.uniform(two)) < ((x * x - y * y) / 2).sum()) & (jnp.abs(y) < 4).all()
+        return jnp.where(accepted, y, x)
+
+    edges = np.linspace(-4, 4, 17)
+    operator = step_operator(step, log_density=lambda x: constant - (x * x).sum() / 2, lower=-4, upper=4, points=2**16)
+    law = operator.law_of(edges)
+    exact = np.diff(ndtr(edges)) / np.diff(ndtr(edges)).sum()
+    assert np.abs(law.masses[0] - exact).sum() / 2 < 4 * law.noise
