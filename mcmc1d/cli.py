@@ -284,3 +284,7 @@ def _version() -> str:
         return version("mcmc1d")
     except PackageNotFoundError:
         return "(not installed)"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -292,16 +292,13 @@ def coordinates(positions: Position) -> dict[str, np.ndarray]:
 
 
 def evaluate(name: str, statistic: Continuous | Discrete, where: Position) -> np.ndarray:
-    """The cell of each position: (n,) integers, -1 in none. Raises `ValueError` for what is no CDF and no cell."""
+    """The cell of each position: (n,) integers, -1 in none. Raises `ValueError` for what has no such shape."""
     if isinstance(statistic, Continuous):
         u = statistic.probability(where)
         n = len(jax.tree.leaves(where)[0])
         require(u.shape == (n,), f"the cdf of {name} must return shape {(n,)}, not {u.shape}")
-        bad = ~((u >= -1e-9) & (u <= 1 + 1e-9))
-        if bad.any():
-            value = np.asarray(statistic.value(where))[bad][:1]
-            raise ValueError(f"the cdf of {name} is {u[bad][:1]} at {value}; it must lie in [0, 1]")
-        return np.clip((u * FINE).astype(np.int64), 0, FINE - 1)
+        bad = ~((u >= -1e-9) & (u <= 1 + 1e-9))  # where no draw of the law is, or it is refused
+        return np.where(bad, -1, np.clip((np.where(bad, 0, u) * FINE).astype(np.int64), 0, FINE - 1))
     cell, n = np.asarray(statistic.cell(where)), len(jax.tree.leaves(where)[0])
     require(
         cell.dtype.kind in "iu" and cell.shape == (n,),

@@ -222,6 +222,9 @@ def _require_rising(law: Law, name: str, statistic: Statistic, draws: Position) 
     if not isinstance(statistic, Continuous):
         return
     value, probability = np.asarray(statistic.value(draws), np.float64), statistic.probability(draws)
+    bad = ~((probability >= -1e-9) & (probability <= 1 + 1e-9))
+    if probability.shape == value.shape and bad.any():
+        raise ValueError(f"the cdf of {name} is {probability[bad][:1]} at {value[bad][:1]}; it must lie in [0, 1]")
     if probability.shape == value.shape:  # what is not, is told when it is counted
         order = np.argsort(value)
         falls = np.diff(probability[order]) < -1e-6

@@ -135,12 +135,13 @@ class Report:
             gap += f", looked at every {self.resolution:.2g} of probability,"
         forgotten = f"; bad starts forgotten in {self.forgotten} steps, to {self.forgotten_within:.2g}"
         forgotten = forgotten if self.forgotten else ""
+        moved = f"{self.moved:.1%}" if self.moved >= 0.01 or self.moved == 0 else f"only {self.moved:.2g} of them"
         lines = [
             f"detects    {gap} in the law after any of {', '.join(map(str, self.steps))} steps, "
             f"with probability {self.power:g}",
             f"level      {self.level:.1e}, shared by {self.tests} tests; first-stage p = {self.p_value:.2g} by the "
             f"union bound, {_count(self.stages, 'stage')}",
-            f"replicas   {self.replicas:,} exact starts; {self.moved:.1%} moved{forgotten}",
+            f"replicas   {self.replicas:,} exact starts; {moved} moved{forgotten}",
             f"again      seed={self.seed}, replicas={self.first_replicas}"
             + (f", name={self.name!r}" if self.name != f"{self.kernel} on {self.law}" else "")
             + f"; took {self.seconds:.1f} s",

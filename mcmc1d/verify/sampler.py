@@ -17,7 +17,7 @@ from mcmc1d.verify.law import Law, LawError, Position
 from mcmc1d.verify.subject import Look, Subject
 
 _CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
-_PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis", "one step")
+_PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis", "one step", "law")
 
 
 @dataclass
@@ -128,6 +128,17 @@ class Sampler:
             finally:
                 for future in pending:
                     future.cancel()
+
+    def of_the_law(self, stage: int, n: int) -> Tally:
+        """What the law's own draws show, of which n are drawn for this alone."""
+        total = Tally()
+        for chunk, first in enumerate(range(0, n, _CHUNK)):
+            draws = self.draw("law", stage, chunk, min(_CHUNK, n - first))
+            size = len(jax.tree.leaves(draws)[0])
+            replicas = Replicas(draws, Look(draws), draws, np.zeros(size))
+            own = {(0, k): test.count(replicas) for k, test in enumerate(self.tests) if self.own(test)}
+            total.add(Tally(size, own))
+        return total
 
     def chunk(self, stage: int, chunk: int, n: int) -> Tally:
         """Draw, run and count."""

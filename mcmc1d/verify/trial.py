@@ -26,7 +26,7 @@ SETTLE = 0.05
 _LOOKS = 16  # the early look is at this fraction of the first stage
 _RATE = 0.01  # a kernel that moves more often than that does not fail for never having moved
 _ATOM = 16  # draws that are one number: of a continuous law in float32 there are two or three
-_DOUBTFUL = 1e-3  # of a law's own draws, told beside a failure
+_NARROW = 1e-20  # a p-value over which a failure may come from a law that is slightly wrong: more of its draws tell
 _ROUNDED = 0.01  # of the draws, which may lie where the density rounds to zero
 _STARTS = 7  # the least likely draw, and both ends of up to three coordinates
 
@@ -237,23 +237,9 @@ class Trial:
     def _failed(self, tally: Tally) -> None:
         values = self.p_values(tally)
         threshold = self.scheme.beta(max(self.stages, 1)) / len(self.keys)
-        own = {key: p for key, p in values.items() if key[0] == 0}
-        if min(own.values(), default=1.0) <= threshold:
-            worst = min(own, key=lambda key: own[key])
-            test = self.tests[worst[1]]
-            where = "; ".join(test.worst(tally.counts[worst], 3))
-            whole = all(np.all(values == np.round(values)) for values in coordinates(self.unlikely).values())
-            raise LawError(
-                f"{self.sampler.law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} "
-                f"from {tally.n} draws): {where}. "
-                + (
-                    "A technique's log_prob, or the target's bin_masses, is wrong: check_technique tells which"
-                    if self.sampler.law.auxiliary
-                    else "Mend the sampler, the cdf, bins or masses"
-                )
-                + ("; the draws are whole numbers, whose law is given as a verify.Discrete" if whole else "")
-                + self._coarse()
-            )
+        self._require_alike(tally, threshold)
+        if min(values.values()) > _NARROW and (0 in {t for t, _ in self.keys}):
+            self._require_alike(self.sampler.of_the_law(self.stages, 4 * tally.n), threshold)
         worst = min(values, key=lambda key: values[key])
         test, after = self.tests[worst[1]], f"after {worst[0]} step{'s' * (worst[0] > 1)}"
         self.reasons.append(
@@ -264,14 +250,28 @@ class Trial:
                 "deposits": f"the deposits' law of {test.name} is wrong {after}",
                 "exchangeability": f"it is declared reversible and is not: {test.name} {after}",
             }[test.layer]
-            + self._of_the_law(values.get((0, worst[1])))
         )
 
-    def _of_the_law(self, p: float | None) -> str:
-        """A word where the law's own draws do not quite have the law that the kernel is said to miss."""
-        if p is None or p > _DOUBTFUL:
-            return ""
-        return f" (but so is that of the law's own draws, p = {p:.1e}: look at its sampler and its cdf first)"
+    def _require_alike(self, tally: Tally, threshold: float) -> None:
+        """Raise `LawError` where the law's own draws do not have what is known of it: a kernel is not to blame."""
+        own = {key: p for key, p in self.p_values(tally).items() if key[0] == 0}
+        if min(own.values(), default=1.0) > threshold:
+            return
+        worst = min(own, key=lambda key: own[key])
+        test = self.tests[worst[1]]
+        where = "; ".join(test.worst(tally.counts[worst], 3))
+        whole = all(np.all(values == np.round(values)) for values in coordinates(self.unlikely).values())
+        raise LawError(
+            f"{self.sampler.law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} "
+            f"from {tally.n} draws): {where}. "
+            + (
+                "A technique's log_prob, or the target's bin_masses, is wrong: check_technique tells which"
+                if self.sampler.law.auxiliary
+                else "Mend the sampler, the cdf, bins or masses"
+            )
+            + ("; the draws are whole numbers, whose law is given as a verify.Discrete" if whole else "")
+            + self._coarse()
+        )
 
     def _coarse(self) -> str:
         """A word on draws that are the same number, or so far from zero that their floats are coarse."""
@@ -295,7 +295,8 @@ class Trial:
         points = self._bad_points()
         total = min(REPLICAS, max(subject.unit, self.n))
         count = min(len(jax.tree.leaves(points)[0]), max(1, total // 512))
-        n = total // count
+        # Whole groups of what moves together: one that was filled up would have the same start twice.
+        n = max(1, total // count // subject.together) * subject.together
         points = jax.tree.map(lambda a: a[:count], points)
         own = [test for test in self.tests if isinstance(test, OneSample | TwoSample) and not test.deposits]
         tests = [*own, *partitions(sampler.law, self.unlikely)]
@@ -362,6 +363,12 @@ class Trial:
             )
         balance = "detailed balance: reversible=True declares it, and sees much smaller mistakes"
         untested = [] if subject.reversible else [balance]
+        reached, looked = self.forgotten.steps or 0, max(sampler.steps)
+        if reached > looked:
+            untested.append(
+                f"the law that it has after more than {looked} steps: it takes some {reached} to reach its own, which "
+                f"may be further off than this gap; steps=(1, {reached}) looks there"
+            )
         return Report(
             untested=untested + unseen(sampler.law, self.unlikely),
             name=name,
