@@ -250,4 +250,4 @@ def _probe(target: Multiplexed, probes: int) -> None:
     wrong = lit & (np.abs(total - 1) > 1e-6)
     if wrong.any():
         k = int(np.argmax(wrong))
-        raise ValueError(f"the weights sum to {total[k]:.6g}, not to one, at x = {points[k]}")
+        raise ValueError(f"the weights sum to {total[k]:.9g}, not to one, at x = {points[k]}")

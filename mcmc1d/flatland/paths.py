@@ -21,7 +21,7 @@ from mcmc1d.flatland.geometry import Vector, Walls, where
 from mcmc1d.flatland.scattering import Local, brdf, local, log_density
 from mcmc1d.flatland.scene import Scene, require_scene
 from mcmc1d.flatland.sensors import Sensor, sensor_of
-from mcmc1d.numerics import choose, stratum
+from mcmc1d.numerics import choose, limit, stratum
 from mcmc1d.targets import Target
 from mcmc1d.types import Array, Bool, Corners, Float, Index, Int, Scalar
 
@@ -44,6 +44,8 @@ class Geometry(NamedTuple):
     """At vertex i + 1, the distance back to the last vertex before it that is no mirror's bounce, unfolded."""
     from_light: Float[Array, " k"]
     """At vertex i, the distance to the next vertex after it that is no mirror's bounce, unfolded."""
+    placed: Bool[Array, " vertices"]
+    """Whether the vertex is where one can be."""
 
     def between(self) -> tuple[Any, Any, Any, Any]:
         """(segment, coming, out, mirror) of the vertices 1 to k - 1, at which a path is scattered."""
@@ -125,7 +127,7 @@ class Paths(eqx.Module):
             clear = clear.at[1:].set(clear[1:] & ~turns)
             from_eye = _behind(distance, mirror[1:-1])
             from_light = _behind(distance[::-1], mirror[1:-1][::-1])[::-1]
-        return Geometry(segment, mirror, pad, out, coming, clear, from_eye, from_light)
+        return Geometry(segment, mirror, pad, out, coming, clear, from_eye, from_light, placed)
 
     def _points(self, x: Float[Array, " d"]) -> tuple[Vector, Array, Array, Array, Array]:
         """The vertices: their points, segments, whether mirrors, their pads, and whether each is where it can be."""
@@ -173,7 +175,7 @@ class Paths(eqx.Module):
 
     def log_eye(self, g: Geometry) -> Float[Array, " vertices"]:
         """Log of the density of each vertex given those before it, when walking from the sensor."""
-        first = self.sensor.log_place(self.walls, g.segment[0])
+        first = jnp.where(g.placed[0], self.sensor.log_place(self.walls, g.segment[0]), -jnp.inf)
         direction = self.sensor.log_density(_first(g.out))
         segment, coming, out, mirror = g.between()
         turns = jax.vmap(partial(log_density, self.walls))(segment, coming, out, mirror)
@@ -186,7 +188,7 @@ class Paths(eqx.Module):
         A lamp is chosen by its length, and left with density cos(theta) / 2.
         """
         on_lamp = self.walls.at(self.walls.emission, g.segment[-1]) > 0
-        last = jnp.where(on_lamp, -jnp.log(lamps(self.walls)[-1]), -jnp.inf)
+        last = jnp.where(on_lamp & g.placed[-1], -jnp.log(lamps(self.walls)[-1]), -jnp.inf)
         segment, coming, out, mirror = g.between()
         turns = jax.vmap(partial(log_density, self.walls))(segment, out, coming, mirror)
         steps = log_or_dark(jnp.abs(g.out.up)) - jnp.log(g.from_light)
@@ -255,7 +257,9 @@ def lamps(walls: Walls) -> Float[Array, " ends"]:
 def on_a_lamp(walls: Walls, number: Scalar) -> tuple[Index, Scalar]:
     """Which lamp, chosen by its length, and how far along it."""
     ends = lamps(walls)
-    segment, inside = choose(ends / ends[-1], number)
+    # Their sum itself, to which a product may round, is the end of segments that have no length here.
+    most = ends[-1] * (1 - jnp.finfo(ends.dtype).epsneg)
+    segment, inside = choose(ends, limit(number * ends[-1], 0, most))
     return segment, inside * walls.at(walls.length, segment)
 
 

@@ -129,6 +129,10 @@ class Wall:
         require(isinstance(self.segment, str), f"Wall: segment is a segment's name, not {self.segment!r}")
 
 
+_NARROWEST = 1e-6
+"""Of the scene's extent, or of its distance from the origin: a narrower gap is lost in single precision."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """Segments and a sensor. Segments may touch, at ends or in a T; they must not cross or overlap.
@@ -246,6 +250,25 @@ class Scene:
                         f"scene {self.name}: {self.label(a)} and {self.label(b)} cross or overlap at "
                         f"({where[0]:.6g}, {where[1]:.6g}); split them there, or move one"
                     )
+        self._check_gaps()
+
+    def _check_gaps(self) -> None:
+        """A gap that single precision does not see is none: light would leak there, or a lamp lie in a wall."""
+        tiny = 1e-9 * self._extent()
+        seen = _NARROWEST * max(self._extent(), float(np.abs(self.ends).max()))
+        starts, along = self.ends[:, 0], self.ends[:, 1] - self.ends[:, 0]
+        for k, pair in enumerate(self.ends):
+            for point in pair:
+                offset = point - starts
+                t = np.clip((offset * along).sum(1) / (along**2).sum(1), 0, 1)
+                gap = np.hypot(*(offset - t[:, None] * along).T)
+                j = int(np.argmin(np.where(gap > tiny, gap, np.inf)))
+                require(
+                    not tiny < gap[j] < seen,
+                    f"scene {self.name}: {self.label(k)} and {self.label(j)} are {gap[j]:.2g} apart at "
+                    f"({point[0]:.6g}, {point[1]:.6g}), which single precision does not see: let them touch, or leave "
+                    f"{seen:.1g} or more",
+                )
 
     def _check_sensor(self) -> None:
         sensor = self.sensor

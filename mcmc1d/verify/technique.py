@@ -211,10 +211,12 @@ class _Contract:
             return []
         v = np.random.default_rng(self.seed + 1).permutation(u[:, : image.shape[1] - self.d])
         fresh = np.column_stack([image[:, : self.d], v]).astype(self.dtype)
-        at, log_det, _ = self.maps.inverse(fresh)
+        at, log_det, log_prob = self.maps.inverse(fresh)
         there, log_det_there, jacobian, slope = self.maps.forward(at)
-        # At a pole of the density, which another lobe's x may round to, there is no way back from u.
-        condition = np.where(np.isposinf(log_det), np.inf, condition_number(jacobian, slope, log_det_there))
+        # At a pole of the density, which another lobe's x may round to, there is no way back from u; and none where the
+        # density is zero, as at the rim of what is lit, to which a sample may round.
+        nowhere = np.isposinf(log_det) | (np.isneginf(log_det) & np.isneginf(log_prob))
+        condition = np.where(nowhere, np.inf, condition_number(jacobian, slope, log_det_there))
         points = Points(at, condition, rounding=self._felt(jacobian, slope, there))
 
         def describe(k: int) -> str:

@@ -114,6 +114,23 @@ def test_contract(edges, t, sensor):
     check_technique(Joined(Paths(room(MIXED, sensor), edges), t), points=1000).raise_if_failed()
 
 
+@pytest.mark.parametrize("t", [0, 1])
+def test_contract_with_a_lamp_among_walls_and_a_mirror_beside_the_sensor(t):
+    """In float32 the lamp's last number was NaN; a place before the sensor had a density; the box is all but empty."""
+    corners = [(0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (2.5, 1.5), (1.5, 1.8), (0.0, 1.5)]
+    lambert, mirror, lamp = Material(lambert=0.5), Material(mirror=0.85), Material(emission=4.0)
+    mixed = Material(lambert=0.2, mirror=0.4, glossy=0.2, exponent=3)
+    walls = polygon(corners, [lambert, mirror, lamp, lambert, mixed, lambert])
+    floor = Segment(walls[0].start, walls[0].end, lambert, "floor")
+    member = Joined(Paths(Scene("lamp", (floor, *walls[1:]), Wall("floor")), 2), t)
+    check_technique(member, points=1000).raise_if_failed()
+    ends = jnp.asarray([0.0, 0.3, 1 - 2**-24], jnp.float32)
+    u = jnp.stack(jnp.meshgrid(*[ends] * member.dim_u), -1).reshape(-1, member.dim_u)
+    assert np.isfinite(jax.vmap(lambda u: member.forward(u)[0])(u)).all()
+    with jax.enable_x64(True):
+        assert np.isneginf(member.log_prob(jnp.array([-0.5, 3.987437, 4.011687])))
+
+
 @pytest.mark.parametrize("exponent", [1, 2, 5, 20, 200])
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_the_glossy_lobe_inverts(exponent, dtype):

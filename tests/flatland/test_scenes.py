@@ -291,6 +291,10 @@ EYE = Pinhole((1.0, 1.0), (0.0, -1.0))
         ),
         (lambda: Scene("eye", (FLOOR,), replace(EYE, position=(2.0, 1e-8))), "stands in segment 0"),
         (lambda: Scene("laid", (moved(FLOOR, 0.3), Segment((1.0, 0.1 + 0.2), (2.0, 0.1 + 0.2))), EYE), "overlap"),
+        (
+            lambda: Scene("gap", (FLOOR, Segment((2.0, 1e-7), (1.0, 1e-7), Material(1.0))), EYE),
+            "segment 1 and segment 0 are 1e-07 apart at .*which single precision does not see",
+        ),
         (lambda: Scene("far", (moved(FLOOR, 1e5),), EYE), "from the origin; for single precision"),
         (lambda: integrate(jax.random.key(0), "pt", scene("box"), lengths=[2, 2], samples=4), "different numbers"),
         (lambda: multiplexed(Paths(scene("box"), 2), None, Power(0.5)), "beta must be 1 at least"),

@@ -27,6 +27,18 @@ class Comparison(NamedTuple):
     Infinite where what is summed has no bound, and zero where both images are known to be dark.
     """
 
+    def __str__(self) -> str:
+        pixels, finite = self.excess.shape[1], self.detectable[np.isfinite(self.detectable)]
+        worst = (
+            f"the worst of {pixels} pixels, in each length and in total, is at {self.excess.max():.2f} of what fails"
+        )
+        if self.differs:
+            return f"differs: {worst}"
+        found = "nothing would be found in some" if finite.size < self.detectable.size else ""
+        if not found:
+            found = f"an error of {finite.min():.1%} to {finite.max():.1%} of a pixel would be found"
+        return f"{'agrees' if self.agrees else 'undecided'}: {worst}; {found}"
+
     @property
     def agrees(self) -> bool:
         """Whether every pixel of every row does, and could have been found not to."""

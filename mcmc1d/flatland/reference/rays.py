@@ -198,14 +198,13 @@ def _spans(geometry: Geometry, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
     """The least and the largest angle (N, S) of each segment as seen from each origin, around the rays' normals."""
     ends = [point - rays.origin[:, None] for point in (geometry.start, geometry.end)]
     angle = [np.arctan2(dot(v, rays.tangent[:, None]), dot(v, rays.normal[:, None])) for v in ends]
-    turn = (angle[1] - angle[0] + np.pi) % (2 * np.pi) - np.pi
-    low = np.where(turn > 0, angle[0], angle[1])
-    high = np.where(turn > 0, angle[1], angle[0])
-    # A segment behind the point may cross the direction -normal, where the angle jumps by a turn.
-    jump = high < low
+    low, high = np.minimum(*angle), np.maximum(*angle)
+    # A segment behind the point may cross the direction -normal, where the angle jumps by a turn. (By the difference
+    # alone: of a wall in line with the point's own both angles are a quarter turn, whichever of them rounds up.)
+    jump, over = high - low > np.pi, high > np.pi / 2
     low, high = (
-        np.where(jump & (low > np.pi / 2), low - 2 * np.pi, low),
-        np.where(jump & (low <= np.pi / 2), high + 2 * np.pi, high),
+        np.where(jump, np.where(over, high - 2 * np.pi, high), low),
+        np.where(jump, np.where(over, low, low + 2 * np.pi), high),
     )
     return low, high
 
