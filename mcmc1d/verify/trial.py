@@ -26,6 +26,7 @@ SETTLE = 0.05
 _LOOKS = 16  # the early look is at this fraction of the first stage
 _RATE = 0.01  # a kernel that moves more often than that does not fail for never having moved
 _ATOM = 16  # draws that are one number: of a continuous law in float32 there are two or three
+_MORE = 2**22  # of the law's own draws, at most, and eight times the replicas
 _NARROW = 1e-20  # a p-value over which a failure may come from a law that is slightly wrong: more of its draws tell
 _ROUNDED = 0.01  # of the draws, which may lie where the density rounds to zero
 _STARTS = 7  # the least likely draw, and both ends of up to three coordinates
@@ -239,7 +240,7 @@ class Trial:
         threshold = self.scheme.beta(max(self.stages, 1)) / len(self.keys)
         self._require_alike(tally, threshold)
         if min(values.values()) > _NARROW and (0 in {t for t, _ in self.keys}):
-            self._require_alike(self.sampler.of_the_law(self.stages, 4 * tally.n), threshold)
+            self._require_alike(self.sampler.of_the_law(self.stages, min(8 * tally.n, _MORE)), threshold)
         worst = min(values, key=lambda key: values[key])
         test, after = self.tests[worst[1]], f"after {worst[0]} step{'s' * (worst[0] > 1)}"
         self.reasons.append(

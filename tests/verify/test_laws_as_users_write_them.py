@@ -3,12 +3,13 @@
 At level 1e-5 a right kernel fails with that probability; 2^15 replicas show a CDF gap of 0.02 to 0.04.
 """
 
+import emcee
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.special import ndtr
-from scipy.stats import ncx2, norm, poisson
+from scipy.stats import ncx2, norm, poisson, vonmises
 
 from mcmc1d import Multiplexed
 from mcmc1d.moves import SmallStep
@@ -197,3 +198,58 @@ def test_an_operator_does_not_depend_on_a_constant_of_the_density(constant):
     law = operator.law_of(edges)
     exact = np.diff(ndtr(edges)) / np.diff(ndtr(edges)).sum()
     assert np.abs(law.masses[0] - exact).sum() / 2 < 4 * law.noise
+
+
+def test_a_sampler_that_is_slightly_off_is_named_and_no_kernel():
+    """By 1 % of a standard deviation: the kernel's failure was narrow, and more of the law's own draws decide."""
+    law = Law(lambda rng, n: 1.01 * rng.normal(size=(n, 2)), cdf=ndtr, log_density=lambda x: -0.5 * jnp.sum(x * x))
+
+    def walk(key, x):
+        one, two = jax.random.split(key)
+        y = x + 1.5 * jax.random.normal(one, x.shape)
+        return jnp.where(jnp.log(jax.random.uniform(two)) < jnp.sum(x * x - y * y) / 2, y, x)
+
+    with pytest.raises(LawError, match=r"its sampler and its exact law of x.* disagree"):
+        verify(walk, law, replicas=2**18, seed=1)
+
+
+def test_a_kernel_that_takes_longer_than_the_steps_tested_is_told_so():
+    """Its own law, should it have another, may be further off than the gap that the report states."""
+
+    def slow(key, x):
+        return 0.98 * x + np.sqrt(1 - 0.98**2) * jax.random.normal(key)
+
+    law = Law(lambda rng, n: rng.normal(size=n), cdf=ndtr)
+    report = verify(slow, law, **SIZE)
+    assert report.passed
+    assert any("after more than 64 steps: it takes some 256 to reach its own" in what for what in report.untested)
+    assert not any("more than" in what for what in verify(lambda key, x: jax.random.normal(key), law, **SIZE).untested)
+
+
+def test_a_walk_off_a_circle_is_a_failure_though_the_cdf_is_none_there():
+    def walk(key, x):
+        one, two = jax.random.split(key)
+        y = x + 1.5 * jax.random.normal(one)
+        return jnp.where(jnp.log(jax.random.uniform(two)) < 2 * (jnp.cos(y) - jnp.cos(x)), y, x)
+
+    assert verify(walk, vonmises(2.0), **SIZE).verdict is Verdict.FAIL
+    assert verify(lambda key, x: (walk(key, x) + np.pi) % (2 * np.pi) - np.pi, vonmises(2.0), **SIZE).passed
+
+
+class Snooker(emcee.moves.RedBlueMove):
+    """Steps along the line to another walker (ter Braak and Vrugt 2008), which two walkers at one place do not have."""
+
+    def get_proposal(self, s, c, random):
+        c, q, factor = np.concatenate(c), np.empty_like(s), np.empty(len(s))
+        for i in range(len(s)):
+            z, one, two = c[random.choice(len(c), 3, replace=False)]
+            along = s[i] - z
+            before = np.linalg.norm(along)
+            q[i] = s[i] + 1.7 * along / before * (along / before @ (one - two))
+            factor[i] = (s.shape[1] - 1) * np.log(np.linalg.norm(q[i] - z) / before)
+        return q, factor
+
+
+def test_walkers_from_bad_starts_are_at_places_of_their_own():
+    law = Law(lambda rng, n: rng.normal(size=(n, 3)), cdf=ndtr, log_density=lambda x: -0.5 * jnp.sum(x * x))
+    assert verify(Snooker(), law, replicas=2**12, gap=0.5).passed
