@@ -274,19 +274,27 @@ def judge(data: xr.Dataset) -> list[Claim]:
                 f"one technique's share left out is caught in {int(twins.sum())} of {twins.size} images",
             )
         )
-    return claims + ([_bias(data)] if any(str(name) in BIASED for name in names) else [])
+    return claims + _bias(data)
 
 
-def _bias(data: xr.Dataset) -> Claim:
-    """That what is known to be biased is caught somewhere."""
-    biased = data.isel(integrator=[k for k, name in enumerate(data.integrator.to_numpy()) if str(name) in BIASED])
-    worst = {str(n): float(biased.excess.sel(integrator=n).max()) for n in biased.integrator.to_numpy()}
-    return Claim(
-        "flatland.biased",
-        "Published coherent deposits, clamped virtual lamps and photon density estimation miss the exact image",
-        "Segovia et al. 2007, section 5.2; Keller 1997; Jensen 1996",
-        "holds" if all(value > 1 for value in worst.values()) else "fails",
-        "holds",
-        ", ".join(f"{name}: worst pixel at {value:.1f}" for name, value in worst.items()),
-        f"1: what fails at a family-wise {LEVEL:g}",
-    )
+def _bias(data: xr.Dataset) -> list[Claim]:
+    """That what is known to be biased is caught somewhere: where it makes the light at all, and that is not even."""
+    told = (data.blind == 0) & ~((data.scene == "furnace") & (data.integrator == "photons"))
+    worst = {
+        str(name): float(data.excess.where(told).sel(integrator=name).max())
+        for name in data.integrator.to_numpy()
+        if str(name) in BIASED and bool(told.sel(integrator=name).any())
+    }
+    if not worst:
+        return []
+    return [
+        Claim(
+            "flatland.biased",
+            "Published coherent deposits, clamped virtual lamps and photon density estimation miss the exact image",
+            "Segovia et al. 2007, section 5.2; Keller 1997; Jensen 1996",
+            "holds" if all(value > 1 for value in worst.values()) else "fails",
+            "holds",
+            ", ".join(f"{name}: worst pixel at {value:.1f}" for name, value in worst.items()),
+            f"1: what fails at a family-wise {LEVEL:g}; where their light is made, and is not even as in the furnace",
+        )
+    ]
