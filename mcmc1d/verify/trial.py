@@ -9,10 +9,11 @@ import numpy as np
 from mcmc1d.checks import traced
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
+from mcmc1d.verify.contradictions import require_alike, require_cells, require_density, require_random
 from mcmc1d.verify.design import design, main_coordinates, partitions, unseen
 from mcmc1d.verify.diagnose import diagnose
-from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets, point
-from mcmc1d.verify.law import LawError, Position
+from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
+from mcmc1d.verify.law import Position
 from mcmc1d.verify.ledger import Scheme
 from mcmc1d.verify.library import LibrarySubject
 from mcmc1d.verify.power import LEAST, Power
@@ -25,10 +26,8 @@ SETTLE = 0.05
 """The gap up to which a slow kernel may still PASS, where none was asked for."""
 _LOOKS = 16  # the early look is at this fraction of the first stage
 _RATE = 0.01  # a kernel that moves more often than that does not fail for never having moved
-_ATOM = 16  # draws that are one number: of a continuous law in float32 there are two or three
 _MORE = 2**22  # of the law's own draws, at most, and eight times the replicas
 _NARROW = 1e-20  # a p-value over which a failure may come from a law that is slightly wrong: more of its draws tell
-_ROUNDED = 0.01  # of the draws, which may lie where the density rounds to zero
 _STARTS = 7  # the least likely draw, and both ends of up to three coordinates
 
 
@@ -58,7 +57,7 @@ class Trial:
         sampler, subject = self.sampler, self.sampler.subject
         draws = sampler.draw("design", 0, 0, 2 * REPLICAS)
         sampler.require_inside(draws)
-        self._require_random(draws)
+        require_random(sampler.law, draws, sampler.draw("pilot", 0, 0, 2 * REPLICAS))
         few = jax.tree.map(lambda a: a[: subject.unit], draws)
         subject.check(few)
         if subject.most is not None:
@@ -107,29 +106,13 @@ class Trial:
         # many as find it at once, get further stages of the same size.
         self.grow = self.grow if needed <= self.n < at_once else 1
 
-    def _require_random(self, draws: Position) -> None:
-        """Raise `LawError` where the law's sampler does not look at its generator: its draws would count many times."""
-        again = coordinates(self.sampler.draw("pilot", 0, 0, 2 * REPLICAS))
-        own = coordinates(draws)
-        if any(np.ptp(values) > 0 for values in own.values()) and all(np.array_equal(own[k], again[k]) for k in own):
-            raise LawError(
-                f"{self.sampler.law.name}: sample(rng, n) gives the same draws whatever rng is; draw them from the "
-                "generator (a JAX key from rng.integers(2**32))"
-            )
-
     def _unlikely(self, draws: Position) -> Position:
         """The draws, the least likely first."""
         log_density = self.sampler.law.log_density
         if log_density is not None:
             with traced(f"{self.sampler.law.name}: log_density, a function of one position,"):
                 values = np.asarray(jax.vmap(log_density)(draws))
-            # A draw may round onto a wall, where the density is zero; a few do.
-            bad = (
-                np.isnan(values) | np.isposinf(values) | (np.isneginf(values) & (np.isneginf(values).mean() > _ROUNDED))
-            )
-            if bad.any():
-                at = point(coordinates(draws), int(np.argmax(bad)))
-                raise LawError(f"{self.sampler.law.name}: its log_density is {values[bad][0]} at its own draw {at}")
+            require_density(self.sampler.law, draws, values)
             order = np.argsort(values)
         else:
             first = next(iter(coordinates(draws).values()))
@@ -204,7 +187,7 @@ class Trial:
                 total.n += tally.n
                 return total
             total.add(tally)
-            self._require_cells(total)
+            require_cells(self.sampler.law, self.tests, total)
             self._leaves(total)
             if self.reasons:
                 return total
@@ -217,16 +200,6 @@ class Trial:
                     return total
         return total
 
-    def _require_cells(self, tally: Tally) -> None:
-        """Raise `LawError` where one of the law's own draws is in no cell of what is known of it."""
-        for (t, k), counts in tally.counts.items():
-            if t == 0 and counts[0][-1]:
-                test = self.tests[k]
-                raise LawError(
-                    f"{self.sampler.law.name}: {counts[0][-1]} of {tally.n} of its own draws are in no cell of "
-                    f"{test.name}, which has no probability for them; give the tails to the end cells"
-                )
-
     def p_values(self, tally: Tally) -> dict[tuple[int, int], float]:
         """Each test's own."""
         return {key: self.tests[key[1]].p_value(tally.counts[key]) for key in self.keys if key in tally.counts}
@@ -238,9 +211,9 @@ class Trial:
     def _failed(self, tally: Tally) -> None:
         values = self.p_values(tally)
         threshold = self.scheme.beta(max(self.stages, 1)) / len(self.keys)
-        self._require_alike(tally, threshold)
-        if min(values.values()) > _NARROW and (0 in {t for t, _ in self.keys}):
-            self._require_alike(self.sampler.of_the_law(self.stages, min(8 * tally.n, _MORE)), threshold)
+        self._blame_the_law(tally, threshold)
+        if min(values.values()) > _NARROW and any(steps == 0 for steps, _ in self.keys):
+            self._blame_the_law(self.sampler.of_the_law(self.stages, min(8 * tally.n, _MORE)), threshold)
         worst = min(values, key=lambda key: values[key])
         test, after = self.tests[worst[1]], f"after {worst[0]} step{'s' * (worst[0] > 1)}"
         self.reasons.append(
@@ -253,42 +226,9 @@ class Trial:
             }[test.layer]
         )
 
-    def _require_alike(self, tally: Tally, threshold: float) -> None:
-        """Raise `LawError` where the law's own draws do not have what is known of it: a kernel is not to blame."""
-        own = {key: p for key, p in self.p_values(tally).items() if key[0] == 0}
-        if min(own.values(), default=1.0) > threshold:
-            return
-        worst = min(own, key=lambda key: own[key])
-        test = self.tests[worst[1]]
-        where = "; ".join(test.worst(tally.counts[worst], 3))
-        whole = all(np.all(values == np.round(values)) for values in coordinates(self.unlikely).values())
-        raise LawError(
-            f"{self.sampler.law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} "
-            f"from {tally.n} draws): {where}. "
-            + (
-                "A technique's log_prob, or the target's bin_masses, is wrong: check_technique tells which"
-                if self.sampler.law.auxiliary
-                else "Mend the sampler, the cdf, bins or masses"
-            )
-            + ("; the draws are whole numbers, whose law is given as a verify.Discrete" if whole else "")
-            + self._coarse()
-        )
-
-    def _coarse(self) -> str:
-        """A word on draws that are the same number, or so far from zero that their floats are coarse."""
-        for name, values in coordinates(self.unlikely).items():
-            if values.dtype == np.float32 and np.ptp(values) > 0:
-                step = float(np.spacing(np.abs(values).max()))
-                if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):
-                    return f"; in float32 {name} has steps of {step:.2g}: verify it with jax.enable_x64(True)"
-            numbers, counts = np.unique(values, return_counts=True)
-            if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and np.ptp(values) > 0:
-                return (
-                    f"; {counts.max()} of {values.size} draws are {name} = {numbers[np.argmax(counts)]:.6g}: where "
-                    "that is rounding, verify it with jax.enable_x64(True); where the law has an atom, say so by "
-                    "`statistics`, for a cdf is of a continuous law"
-                )
-        return ""
+    def _blame_the_law(self, tally: Tally, threshold: float) -> None:
+        """Raise `LawError` where the law's own draws do not have what is known of it."""
+        require_alike(self.sampler.law, self.tests, tally, self.p_values(tally), threshold, self.unlikely)
 
     def forget(self) -> None:
         """Whether chains from some bad points come near the law, and after how many steps."""

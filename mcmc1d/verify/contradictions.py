@@ -1,0 +1,87 @@
+"""Where a law contradicts itself, by its own draws: then no kernel is to blame, and there is no verdict."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mcmc1d.verify.battery import Test, coordinates
+from mcmc1d.verify.forgetting import point
+from mcmc1d.verify.law import Law, LawError, Position
+from mcmc1d.verify.sampler import Tally
+
+_ATOM = 16  # draws that are one number: of a continuous law in float32 there are two or three
+_ROUNDED = 0.01  # of the draws, which may lie where the density rounds to zero
+
+
+def require_random(law: Law, draws: Position, again: Position) -> None:
+    """Raise `LawError` where the sampler does not look at its generator: its draws would count many times."""
+    one, two = coordinates(draws), coordinates(again)
+    if any(np.ptp(values) > 0 for values in one.values()) and all(np.array_equal(one[name], two[name]) for name in one):
+        raise LawError(
+            f"{law.name}: sample(rng, n) gives the same draws whatever rng is; draw them from the generator (a JAX key "
+            "from rng.integers(2**32))"
+        )
+
+
+def require_density(law: Law, draws: Position, log_density: np.ndarray) -> None:
+    """Raise `LawError` where the density is not finite, or zero, at draws; at a few it may round to zero."""
+    zero = np.isneginf(log_density)
+    bad = np.isnan(log_density) | np.isposinf(log_density) | (zero & (zero.mean() > _ROUNDED))
+    if bad.any():
+        at = point(coordinates(draws), int(np.argmax(bad)))
+        raise LawError(f"{law.name}: its log_density is {log_density[bad][0]} at its own draw {at}")
+
+
+def require_cells(law: Law, tests: Sequence[Test], tally: Tally) -> None:
+    """Raise `LawError` where one of the draws is in no cell of what is known of the law."""
+    for (steps, k), counts in tally.counts.items():
+        if steps == 0 and counts[0][-1]:
+            raise LawError(
+                f"{law.name}: {counts[0][-1]} of {tally.n} of its own draws are in no cell of {tests[k].name}, which "
+                "has no probability for them; give the tails to the end cells"
+            )
+
+
+def require_alike(
+    law: Law,
+    tests: Sequence[Test],
+    tally: Tally,
+    p_values: Mapping[tuple[int, int], float],
+    threshold: float,
+    draws: Position,
+) -> None:
+    """Raise `LawError` where the tallied draws do not have what is known of the law, at a p-value of `threshold`.
+
+    `draws`: some of them, which may say why.
+    """
+    own = {key: p for key, p in p_values.items() if key[0] == 0}
+    if min(own.values(), default=1.0) > threshold:
+        return
+    worst = min(own, key=lambda key: own[key])
+    test = tests[worst[1]]
+    mend = "Mend the sampler, the cdf, bins or masses"
+    if law.auxiliary:  # those of a chain's target, which a user has not written
+        mend = "A technique's log_prob, or the target's bin_masses, is wrong: check_technique tells which"
+    if all(np.all(values == np.round(values)) for values in coordinates(draws).values()):
+        mend += "; the draws are whole numbers, whose law is given as a verify.Discrete"
+    raise LawError(
+        f"{law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} from {tally.n} "
+        f"draws): {'; '.join(test.worst(tally.counts[worst], 3))}. {mend}{_coarse(draws)}"
+    )
+
+
+def _coarse(draws: Position) -> str:
+    """A word on draws that are the same number, or so far from zero that their floats are coarse."""
+    for name, values in coordinates(draws).items():
+        if values.dtype == np.float32 and np.ptp(values) > 0:
+            step = float(np.spacing(np.abs(values).max()))
+            if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):
+                return f"; in float32 {name} has steps of {step:.2g}: verify it with jax.enable_x64(True)"
+        numbers, counts = np.unique(values, return_counts=True)
+        if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and np.ptp(values) > 0:
+            return (
+                f"; {counts.max()} of {values.size} draws are {name} = {numbers[np.argmax(counts)]:.6g}: where that is "
+                "rounding, verify it with jax.enable_x64(True); where the law has an atom, say so by `statistics`, for "
+                "a cdf is of a continuous law"
+            )
+    return ""
