@@ -146,9 +146,11 @@ def chain(mutant: Mutant, seed: int) -> set[str]:
 
 
 def convictions(report: Report) -> set[str]:
-    """The layers of the tests that fail; "motion" where it does not move or does not forget; none where it passes."""
+    """The layers of the tests that fail; "motion" where it does not move, leaves the support or does not forget."""
     if report.verdict is Verdict.FAIL:
-        return {failure.layer for failure in report.failures} or {"motion"}
+        layers = {failure.layer for failure in report.failures}
+        left = any("leave the support" in reason for reason in report.reasons)
+        return layers | {"motion"} if left or not layers else layers
     return {"motion"} if any("has not forgotten" in reason for reason in report.reasons) else set()
 
 
