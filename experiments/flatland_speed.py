@@ -126,12 +126,12 @@ def draw(data: xr.Dataset) -> Figure:
     names, width = data.integrator.to_numpy(), 0.8 / data.sizes["scene"]
     for k, name in enumerate(data.scene.to_numpy()):
         bars = axes.bar(np.arange(len(names)) + k * width, data.rate[k] / 1e6, width, label=str(name))
-        axes.bar_label(bars, [f"{share:.0%}" for share in _share(data)[k]], fontsize=4, padding=1)
+        axes.bar_label(bars, [f"{100 * share:.0f}" for share in _share(data)[k]], fontsize=4, padding=1)
     axes.axhline(_AIM / 1e6, color="0.6", linewidth=0.7, linestyle="--")
     axes.set_xticks(np.arange(len(names)) + 0.4 - width / 2, [str(n) for n in names], rotation=45, ha="right")
     axes.minorticks_off()
     axes.set_ylabel("10⁶ paths a second of one core")
-    axes.legend(title="share of multiply-adds' rate over bars", title_fontsize=5, fontsize=6)
+    axes.legend(title="over bars, % of the multiply-adds' rate", title_fontsize=5, fontsize=6)
     return figure
 
 
