@@ -93,6 +93,8 @@ class Walls(eqx.Module):
     start: Float[Real, "n 2"]
     tangent: Float[Real, "n 2"]
     length: Float[Real, " n"]
+    overhang: Float[Real, "n 2"]
+    """1 for each end that touches another segment, of which a ray meets a little more, or light leaks; 0 where none."""
     offsets: Float[Real, " ends"]
     """Where each segment begins on the line, and where the last one ends."""
     emission: Float[Real, " n"]
@@ -112,6 +114,7 @@ class Walls(eqx.Module):
         along = ends[:, 1] - ends[:, 0]
         self.length = np.hypot(along[:, 0], along[:, 1])
         self.start, self.tangent = ends[:, 0], along / self.length[:, None]
+        self.overhang = np.concatenate([scene.touching, np.ones((4, 2))]).astype(np.float64)
         self.offsets = np.concatenate([[0.0], np.cumsum(self.length)])
         materials = [segment.material for segment in scene.segments]
         for name in ("emission", "lambert", "glossy", "mirror"):
@@ -146,6 +149,11 @@ class Walls(eqx.Module):
         x, y = self._component(self.start, segment)
         return Vector(x, y) + self.frame(segment).tangent * along
 
+    def image(self, segment: Index, point: Vector) -> Vector:
+        """A point's image in the line of a segment."""
+        normal, start = self.frame(segment).normal, Vector(*self._component(self.start, segment))
+        return point - normal * (2 * (point - start).dot(normal))
+
     def place(self, slot: Scalar) -> tuple[Index, Scalar]:
         """The segment that holds a place on the line, and the distance from its start."""
         segment = locate(self.offsets, slot)
@@ -169,14 +177,16 @@ class Walls(eqx.Module):
     def meet(self, origin: Vector, direction: Vector, leaving: Index) -> Hit:
         """What a ray meets first, other than the segment `leaving`, which it starts on (-1: it starts on none).
 
-        The length of `direction` does not matter. A segment is met a few roundings beyond its ends too: two that touch
-        let nothing through.
+        The length of `direction` does not matter. A segment is met a few roundings beyond an end that touches another:
+        they let nothing through. What stands free is as long as it is.
         """
         tolerance = 16 * jnp.finfo(self.dtype).eps * (self.length[-1] + self.length[-2])
+        lower = -tolerance * jnp.asarray(self.overhang[:, 0])
+        upper = self.length + tolerance * jnp.asarray(self.overhang[:, 1])
 
         def nearer(best: tuple[Scalar, Index], j: Index, crossing: _Crossing) -> tuple[Scalar, Index]:
             size = jnp.abs(crossing.across)
-            inside = (crossing.along >= -tolerance * size) & (crossing.along <= (crossing.length + tolerance) * size)
+            inside = (crossing.along >= lower[j] * size) & (crossing.along <= upper[j] * size)
             met = inside & (crossing.distance > 0) & (size > 0) & (j != leaving)
             # One quotient a segment: what decides whether it is met needs none.
             distance = crossing.distance / jnp.where(size > 0, size, 1)

@@ -84,14 +84,24 @@ class Paths(eqx.Module):
 
     def film(self, x: Float[Array, " d"]) -> Scalar:
         """The film coordinate in [0, 1) at which a path arrives."""
-        if self.walls.mirrors or self.sensor.places:
-            points, segments, *_ = self._points(x)
-            segment, way = segments[0], Vector(points.x[1] - points.x[0], points.y[1] - points.y[0])
-        else:  # the second vertex is where it says, wherever the others are
-            point, segment = self.sensor.point(self.walls, x[0])
-            way = self.walls.point(*self.walls.place(x[0])) - point
+        point, segment = self.sensor.point(self.walls, x[0])
+        way = self._first_image(x) - point
         direction = way * (1 / jnp.maximum(way.length(), _shortest(x.dtype)))
         return self.sensor.film(self.walls, x[0], local(self.sensor.frame(self.walls, segment), direction))
+
+    def _first_image(self, x: Float[Array, " d"]) -> Vector:
+        """Where the sensor sees the first vertex that is no mirror's bounce, wherever the others are.
+
+        One vertex after the other: over many chains, what is joined in an array is joined by a branch for each number.
+        """
+        walls, slots = self.walls, x[self.sensor.places :]
+        if not walls.mirrors:
+            return walls.point(*walls.place(slots[0]))
+        image = walls.point(*walls.place(slots[self.edges - 1]))
+        for i in reversed(range(self.edges - 1)):
+            mirror, _, segment = self._bounce(slots[i])
+            image = where(mirror, walls.image(segment, image), walls.point(*walls.place(slots[i])))
+        return image
 
     def pixel(self, x: Float[Array, " d"]) -> Int[Array, ""]:
         """The pixel at which a path arrives."""
@@ -136,20 +146,26 @@ class Paths(eqx.Module):
         slots = x[self.sensor.places :]
         segments, along = jax.vmap(walls.place)(slots)
         segments = jnp.asarray(segments, jnp.int32)
-        bounce = jnp.floor(slots - walls.total)
-        mirror = (bounce >= 0) & walls.mirrors
-        segments = jnp.where(mirror, jnp.clip(bounce, 0, walls.count - 1).astype(jnp.int32), segments)
+        mirror, pad, bounced = self._bounce(slots)
+        segments = jnp.where(mirror, bounced, segments)
         points = jax.vmap(walls.point)(segments, along)
         points = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), point, points)
         inside = (x >= 0) & (x <= walls.total + walls.count)
         placed = jnp.concatenate([jnp.ones(1 - self.sensor.places, bool), inside])
         segments = jnp.concatenate([jnp.asarray(segment, jnp.int32)[None], segments])
         mirror = jnp.concatenate([jnp.zeros(1, bool), mirror])
-        pad = jnp.concatenate([jnp.zeros_like(slots[:1]), slots - walls.total - bounce])
+        pad = jnp.concatenate([jnp.zeros_like(slots[:1]), pad])
         if walls.mirrors:
             points, on_mirror = self._unfolded(points, segments, mirror)
             placed = placed & on_mirror
         return points, segments, mirror, pad, placed
+
+    def _bounce(self, slot: Float[Array, "..."]) -> tuple[Array, Array, Array]:
+        """Whether a slot is a mirror's bounce, its pad, and the segment that it then is on."""
+        past = slot - self.walls.total
+        bounce = jnp.floor(past)
+        segment = jnp.clip(bounce, 0, self.walls.count - 1).astype(jnp.int32)
+        return (bounce >= 0) & self.walls.mirrors, past - bounce, segment
 
     def _unfolded(self, points: Vector, segments: Array, mirror: Array) -> tuple[Vector, Array]:
         """The points with the mirrors' bounces where the images say they are, and whether each is on its mirror."""
@@ -159,8 +175,7 @@ class Paths(eqx.Module):
         starts = [walls.point(segments[i], jnp.zeros_like(walls.total)) for i in range(k + 1)]
         images = list(at)
         for i in reversed(range(1, k)):
-            height = (images[i + 1] - starts[i]).dot(frames[i].normal)
-            images[i] = where(mirror[i], images[i + 1] - frames[i].normal * (2 * height), at[i])
+            images[i] = where(mirror[i], walls.image(segments[i], images[i + 1]), at[i])
         placed = [jnp.ones((), bool)] * k + [~mirror[k]]
         for i in range(1, k):
             ray = images[i] - at[i - 1]

@@ -107,8 +107,9 @@ class Pinhole:
             f"Pinhole: direction must be finite and not zero, not {self.direction}",
         )
         require(
-            0 < self.half_angle < 1.57,
-            f"Pinhole: half_angle is in radians, over 0 and under 1.57, not {self.half_angle}",
+            1e-4 <= self.half_angle < 1.57,
+            f"Pinhole: half_angle is in radians, 1e-4 at least (less is lost in single precision) and under 1.57, not "
+            f"{self.half_angle}",
         )
 
 
@@ -252,23 +253,33 @@ class Scene:
                     )
         self._check_gaps()
 
+    @property
+    def touching(self) -> np.ndarray:
+        """Whether each end, (segments, 2), touches another segment."""
+        return (self._gaps() <= 1e-9 * self._extent()).any(-1)
+
+    def _gaps(self) -> np.ndarray:
+        """How far each end is from each other segment, (segments, 2, segments); infinite from its own."""
+        starts, along = self.ends[:, 0], self.ends[:, 1] - self.ends[:, 0]
+        offset = self.ends[:, :, None] - starts
+        t = np.clip((offset * along).sum(-1) / (along**2).sum(-1), 0, 1)
+        gaps = np.hypot(*np.moveaxis(offset - t[..., None] * along, -1, 0))
+        own = np.arange(len(starts))
+        gaps[own, :, own] = np.inf
+        return gaps
+
     def _check_gaps(self) -> None:
         """A gap that single precision does not see is none: light would leak there, or a lamp lie in a wall."""
         tiny = 1e-9 * self._extent()
         seen = _NARROWEST * max(self._extent(), float(np.abs(self.ends).max()))
-        starts, along = self.ends[:, 0], self.ends[:, 1] - self.ends[:, 0]
-        for k, pair in enumerate(self.ends):
-            for point in pair:
-                offset = point - starts
-                t = np.clip((offset * along).sum(1) / (along**2).sum(1), 0, 1)
-                gap = np.hypot(*(offset - t[:, None] * along).T)
-                j = int(np.argmin(np.where(gap > tiny, gap, np.inf)))
-                require(
-                    not tiny < gap[j] < seen,
-                    f"scene {self.name}: {self.label(k)} and {self.label(j)} are {gap[j]:.2g} apart at "
-                    f"({point[0]:.6g}, {point[1]:.6g}), which single precision does not see: let them touch, or leave "
-                    f"{seen:.1g} or more",
-                )
+        gaps = self._gaps()
+        k, end, j = np.unravel_index(np.argmin(np.where(gaps > tiny, gaps, np.inf)), gaps.shape)
+        gap, (x, y) = gaps[k, end, j], self.ends[k, end]
+        require(
+            not tiny < gap < seen,
+            f"scene {self.name}: {self.label(int(k))} and {self.label(int(j))} are {gap:.2g} apart at ({x:.6g}, "
+            f"{y:.6g}), which single precision does not see: let them touch, or leave {seen:.1g} or more",
+        )
 
     def _check_sensor(self) -> None:
         sensor = self.sensor
@@ -282,6 +293,11 @@ class Scene:
             return
         position = np.asarray(sensor.position, np.float64)
         require(bool(np.isfinite(position).all()), f"scene {self.name}: the pinhole's position is not finite")
+        require(
+            float(np.abs(position).max()) <= 100 * self._extent(),
+            f"scene {self.name}: the pinhole at {sensor.position} is over 100 times the walls' {self._extent():.3g} "
+            "away, where single precision does not see them well; bring it nearer",
+        )
         distances = [distance(position, pair) for pair in self.ends]
         k = int(np.argmin(distances))
         require(

@@ -47,13 +47,12 @@ class EachChain(Estimator):
         k = self.only
         if k is not None:
             deposits = jax.tree.map(lambda part: part[k : k + 1], deposits)
-        row = jnp.arange(paths.sensor.pixels)[:, None]
+        lane = jnp.arange(self.chains)
 
         def one(sums: Float[Array, "n c"], deposit: tuple[Array, Array]) -> tuple[Float[Array, "n c"], None]:
             x, weight = deposit
             pixel = jax.vmap(paths.pixel, in_axes=-1)(x)
-            # By comparison: a chain's deposit is a scatter of one into its own column.
-            return sums + jnp.where(pixel[None] == row, weight[None], 0), None
+            return sums.at[pixel, lane].add(weight, mode="promise_in_bounds", unique_indices=True), None
 
         few = deposits.weight.shape[0] <= _WRITTEN_OUT
         return jax.lax.scan(one, sums, (deposits.x, deposits.weight), unroll=few)[0]

@@ -1,0 +1,78 @@
+"""Rays and what they meet, at the ends of walls; where a path arrives on the film by way of mirrors."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mcmc1d.flatland import Bidirectional, Light, Material, Paths, Pinhole, Scene, Segment, Wall
+from mcmc1d.flatland.geometry import Vector, Walls
+from mcmc1d.flatland.scenes import polygon
+from mcmc1d.numerics import cast
+
+LAMP = Material(1.0)
+EYE = Pinhole((0.0, 1.0), (1.0, 0.0), 0.6)
+
+
+def slit(width):
+    """A lamp behind a wall with a slit, the wall's other ends touching nothing."""
+    below, above = Segment((2, 0), (2, 1 - width / 2)), Segment((2, 1 + width / 2), (2, 2))
+    return Scene("slit", (below, above, Segment((4, 0), (4, 2), LAMP)), EYE)
+
+
+def met(scene, aims):
+    """The segments that rays from the pinhole at (0, 1) meet on their way to x = 2, y = `aims`, in float32."""
+    walls = cast(Walls(scene), jnp.float32)
+    aims = np.asarray(aims, np.float32)
+
+    def one(aim):
+        return walls.meet(Vector(jnp.float32(0), jnp.float32(1)), Vector(jnp.float32(2), aim - 1), -1).segment
+
+    return np.asarray(jax.jit(jax.vmap(one))(aims))
+
+
+@pytest.mark.parametrize("width", [2e-2, 2e-3, 1e-4, 2e-5])
+def test_what_stands_free_is_as_long_as_it_is(width):
+    """A ray passes a slit that is a hundred-thousandth of the scene: walls were longer by half of that, at each end."""
+    across = np.linspace(-0.45, 0.45, 91) * width
+    assert (met(slit(width), 1 + across) == 2).all()
+    assert (met(slit(width), 1 + np.array([-0.6, 0.6]) * width) == [0, 1]).all()
+
+
+def test_nothing_passes_where_walls_touch():
+    """In line, in a corner and in a T, turned by many angles: a ray at the very point meets one of the two."""
+    for turn in np.linspace(0, 2 * np.pi, 97):
+        way = np.array([np.cos(turn), np.sin(turn)])
+        joint = np.array([2.0, 1.1])
+        reach = 0.7 * way if abs(way[0]) < 0.9 else np.array([0.0, 0.7])
+        first, second = Segment(tuple(joint - reach), tuple(joint)), Segment(tuple(joint), tuple(joint + reach[::-1]))
+        behind = Segment((5.0, 0.0), (5.0, 3.0), LAMP)
+        try:
+            scene = Scene("joint", (first, second, behind), EYE)
+        except ValueError:
+            continue  # turned onto each other
+        near = np.nextafter(np.float32(1.1), [0, 2], dtype=np.float32)
+        assert (met(scene, [np.float32(1.1), *near]) < 2).all(), turn
+
+
+@pytest.mark.parametrize("sensor", ["pinhole", "wall"])
+def test_a_path_arrives_where_its_first_edge_leads(sensor):
+    """By way of none, one and two mirrors: the film's coordinate is that of the direction in which the path leaves."""
+    corners = [(0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (1.5, 1.2), (1.5, 2.0), (0.0, 2.0)]
+    sides = polygon(corners, [Material(1, lambert=0.3, mirror=0.6)] * 6)
+    named = tuple(Segment(side.start, side.end, side.material, f"w{k}") for k, side in enumerate(sides))
+    eye = Pinhole((0.5, 0.5), (1, 0.3), 0.7, 4) if sensor == "pinhole" else Wall("w1", 4)
+    paths = Paths(Scene("room", named, eye), 4)
+    with jax.enable_x64(True):
+        paths = cast(paths, jnp.float64)
+        family = Bidirectional(paths, (5,))
+        u = jnp.asarray(np.random.default_rng(0).random((4096, family.dim_u)))
+        x = jax.vmap(lambda u: family.forward(jnp.int32(0), u)[0])(u)
+        lit = np.asarray(jax.vmap(Light(paths).log_f)(x)) > -np.inf
+        film = np.asarray(jax.vmap(paths.film)(x))
+        geometry = jax.vmap(paths.geometry)(x)
+        first = jax.tree.map(lambda a: a[:, 0], geometry.out)
+        expected = np.asarray(jax.vmap(lambda x, out: paths.sensor.film(paths.walls, x[0], out))(x, first))
+    bounces = np.cumprod(np.asarray(geometry.mirror)[:, 1:], axis=1).sum(1)[lit]
+    assert (np.bincount(bounces, minlength=3)[:3] > 50).all()
+    np.testing.assert_allclose(film[lit], expected[lit], atol=1e-9)
