@@ -18,6 +18,7 @@ import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.roofline import operations, roof
 from experiments.support.sweep import Sweep
+from mcmc1d.estimators import added, empty
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import INTEGRATORS, Integrator
 from mcmc1d.flatland.integrators.chains import EachChain, Metropolised
@@ -113,7 +114,7 @@ def work_of(make: Integrator, target: Multiplexed, paths: Paths) -> float:
         assert isinstance(make, Metropolised)
         kernel, film = cast((make.kernel(), EachChain(paths, _LANES)), dtype)
         steps = looked(partial(kernel.step, target))(state, uniforms(key, 0, (kernel.dim_w(target), _LANES), dtype))
-        return film.update(film.init(target, kernel, dtype), steps)
+        return added(film, empty(film, target, kernel), steps)
 
     if isinstance(make, Metropolised):
         return operations(mutation, looked(target.evaluate)(start), key) / _LANES

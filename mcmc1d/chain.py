@@ -15,7 +15,7 @@ from mcmc1d import parallel
 from mcmc1d.checkpoint import Place, Saving, describe
 from mcmc1d.checks import require_key, require_whole
 from mcmc1d.compiling import wide_jit
-from mcmc1d.estimators import Estimator, require_estimators
+from mcmc1d.estimators import Estimator, added, empty, require_estimators
 from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, require
@@ -24,8 +24,10 @@ from mcmc1d.starts import Normalisation, begin, exact_start, normalisation, requ
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Int, Key
 
-_DEPOSITS_PER_DRAIN = 2**22  # before a drain into float64; within it the sums are compensated
-_STEPS_PER_DRAIN = 2**16  # so that a single chain, too, reports its progress
+# Between two looks at the clock, for progress, checkpoints and Ctrl-C.
+_CHAIN_STEPS_PER_LOOK = 2**22
+_STEPS_PER_LOOK = 2**16
+_MOST_STEPS = 2**31 - 1
 
 
 class Run(eqx.Module):
@@ -106,10 +108,10 @@ def run(
     unless given; `random`, the source of the steps' random numbers: "threefry" is the reference, "hash32" costs an
     eighth of it, see `mcmc1d.random`; `progress`, called as the work advances.
 
-    A run that is long is saved in the file `checkpoint`, `every` so many seconds (where a drain of the sums takes
-    longer, after each), at Ctrl-C and at its end: the same call with `resume=True` goes on from there, or begins where
-    there is no such file, and the result is that of a run without a break, to the bit. (With several processes, each
-    has a file of its own, `checkpoint` and its number.) The file is yours to delete.
+    A run that is long is saved in the file `checkpoint`, `every` so many seconds, at Ctrl-C and at its end: the same
+    call with `resume=True` goes on from there, or begins where there is no such file, and the result is that of a run
+    without a break, to the bit (but on a GPU, which adds in no fixed order, to float64's rounding of the sums). With
+    several processes, each has a file of its own, `checkpoint` and its number. The file is yours to delete.
 
     Raises `ValueError` where the kernel or an estimator does not fit the target, where a chain met a NaN of it, and
     where the checkpoint is damaged, of another run (it says what differs), or open in one.
@@ -122,11 +124,11 @@ def run(
         f"run: dtype must be float32, or float64 with JAX's x64 on, not {dtype}",
     )
     require_key(key, "run")
-    require_whole(steps, "run: steps")
-    require_whole(chains, "run: chains")
+    steps, chains = require_whole(steps, "run: steps"), require_whole(chains, "run: chains")
+    require(steps < _MOST_STEPS, f"run: steps are counted in 32 bits, and {steps} are too many; run more chains")
     if blocks is None:
         blocks = next(b for b in range(min(8, chains), 0, -1) if chains % b == 0)
-    require_whole(blocks, "run: blocks")
+    blocks = require_whole(blocks, "run: blocks")
     require(chains % blocks == 0, f"run: {chains} chains can not be dealt into {blocks} equal blocks")
     kernel.check(target)
     asked = require_estimators(estimators)
@@ -134,9 +136,9 @@ def run(
     index, u = begin(start_key, target, start, chains, dtype, "run")
     target, kernel, asked = cast(target, dtype), cast(kernel, dtype), cast(asked, dtype)
     size = chains // blocks
-    zeros = {name: estimator.init(target, kernel, dtype) for name, estimator in asked.items()}
-    per_drain = max(1, min(_STEPS_PER_DRAIN, _DEPOSITS_PER_DRAIN // size))
-    nothing = jax.tree.map(lambda z: np.zeros(z.shape), zeros)
+    zeros = {name: empty(estimator, target, kernel) for name, estimator in asked.items()}
+    nothing = jax.tree.map(np.asarray, zeros)
+    per_look = max(1, min(_STEPS_PER_LOOK, _CHAIN_STEPS_PER_LOOK // size))
     fresh = [Place(0, State(index[b : b + size], u[b : b + size]), nothing) for b in range(0, chains, size)]
 
     def arguments(block: int, device: Any, place: Place, count: int) -> tuple[Any, ...]:
@@ -146,7 +148,7 @@ def run(
     def advance(block: int, device: Any, place: Place, count: int) -> Place:
         state, sums, trapped = _advance(*arguments(block, device, place, count))
         require_defined(target, state, trapped)
-        totals = jax.tree.map(lambda t, s: t + np.asarray(s, np.float64), place.totals, sums)
+        totals = jax.tree.map(lambda t, s: t + np.asarray(s), place.totals, sums)
         return Place(place.step + count, state, totals)
 
     def identity() -> dict[str, Any]:
@@ -155,12 +157,12 @@ def run(
         parts = {"key": key, "start": (index, u), "kernel": kernel, "target": target, "estimators": asked}
         compiled: Any = _advance
         program = compiled.lower(*arguments(0, None, fresh[0], 0)).as_text()
-        parts["program"] = f"{per_drain} {jax.devices()[0].device_kind} {program}"
+        parts["program"] = f"{per_look} {jax.devices()[0].device_kind} {program}"
         versions = {name: version(name) for name in ("jax", "jaxlib")}
         return sizes | versions | {name: describe(part) for name, part in parts.items()}
 
     saving = Saving(checkpoint, every, resume)
-    places = parallel.run_blocks(advance, fresh, steps, per_drain, progress, identity, saving)
+    places = parallel.run_blocks(advance, fresh, steps, per_look, progress, identity, saving)
     return Run(
         state=jax.tree.map(lambda *s: jnp.asarray(np.concatenate(s)), *(place.state for place in places)),
         sums=jax.tree.map(lambda *s: np.stack(s), *(place.totals for place in places)),
@@ -213,18 +215,13 @@ def _advance(
     Also which chains are trapped where the target is NaN or infinite.
     """
 
-    def body(k: Array, carry: tuple[State, Any, Any]) -> tuple[State, Any, Any]:
-        state, total, lost = carry
+    def body(k: Array, carry: tuple[State, Any]) -> tuple[State, Any]:
+        state, sums = carry
         steps = _step(key, numbers, kernel, target, first + k, state)
-        gained = {name: estimators[name].update(sums[name], steps) for name in estimators}
-        # Kahan's summation: what a float32 total is too large to take in is kept for the next step.
-        gained = jax.tree.map(jnp.subtract, gained, lost)
-        after = jax.tree.map(jnp.add, total, gained)
-        lost = jax.tree.map(lambda new, old, more: (new - old) - more, after, total, gained)
-        return steps.state, after, lost
+        return steps.state, {name: added(estimators[name], sums[name], steps) for name in estimators}
 
     evaluated = jax.vmap(target.evaluate, out_axes=-1)(state)
-    state, sums, _ = jax.lax.fori_loop(0, count, body, (evaluated, sums, sums))
+    state, sums = jax.lax.fori_loop(0, count, body, (evaluated, sums))
     # Without its eval: what nothing reads after the loop need not be carried through it. (A step reads log_c.)
     return State(state.index, state.u.T), sums, jnp.isposinf(state.seen.log_c)
 

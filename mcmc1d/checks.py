@@ -28,10 +28,11 @@ def _a(kind: type) -> str:
     return f"{'an' if kind.__name__[0] in 'AEIOUaeiou' else 'a'} {kind.__name__}"
 
 
-def require_whole(value: Any, who: str, least: int = 1) -> None:
-    """Raise `ValueError` unless `value` is a whole number, `least` at least; True is none."""
+def require_whole(value: Any, who: str, least: int = 1) -> int:
+    """`value` as Python's, or `ValueError` unless it is a whole number, `least` at least; True is none."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     require(whole and bool(value >= least), f"{who} must be a whole number, {least} at least, not {value!r}")
+    return int(value)
 
 
 def require_key(key: Any, who: str) -> None:

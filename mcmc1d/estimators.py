@@ -23,17 +23,37 @@ class Estimator(eqx.Module):
 
     `update` is handed the steps of all chains of a block at once (the chains are the last axis of each leaf, so that
     deposits have x of shape (n, ..., chains) and weights of shape (n, chains)) and adds
-    them to the accumulator, a pytree of sums that starts at zero. The runner drains it into float64 on the host
-    before a float32 sum can lose anything, and calls `update` with zeros, compensating what it adds up itself.
+    them to the accumulator, a pytree of sums that starts at zero. Its real numbers are float64 whatever the chains
+    are in: a float32 sum would round thousands of deposits alike.
     """
 
     @abc.abstractmethod
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Any:
-        """The accumulator at zero; raises `ValueError` where the estimator does not fit the target."""
+        """The accumulator at zero, in `dtype`; raises `ValueError` where the estimator does not fit the target.
+
+        `target`: what the kernel's deposits are samples of, which need not be the chain's own; see `Kernel.sampled`.
+        """
 
     @abc.abstractmethod
     def update(self, sums: Any, steps: Step) -> Any:
         """`sums` with the deposits of one step of every chain added."""
+
+
+def empty(estimator: Estimator, target: Multiplexed, kernel: Kernel) -> Any:
+    """An estimator's accumulator at zero, for what the kernel deposits; in float64 where JAX's x64 is off too."""
+    with jax.enable_x64(True):
+        return jax.tree.map(_widest, estimator.init(kernel.sampled(target), kernel, jnp.float64))
+
+
+def added(estimator: Estimator, sums: Any, steps: Step) -> Any:
+    """What `update` makes of an accumulator of `empty`, in the same precision."""
+    with jax.enable_x64(True):
+        return jax.tree.map(lambda old, new: jnp.asarray(new, old.dtype), sums, estimator.update(sums, steps))
+
+
+def _widest(leaf: Any) -> Array:
+    leaf = jnp.asarray(leaf)
+    return leaf.astype(jnp.float64) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
 
 def require_estimators(estimators: Mapping[str, Estimator] | None) -> dict[str, Estimator]:
@@ -50,32 +70,13 @@ def add_deposits(
 
     `place` is the bin of the x of every chain: (chains,) integers within bounds.
     """
-    exact = sums.dtype == jnp.float64
-    # A float32 bin with thousands of deposits would round each, and alike: a step's deposits are added up as whole
-    # numbers of 1 / scale, as large as 31 bits hold (NaN stays NaN). What lies between two of them goes up or down by
-    # an equidistributed number of the chain's, so that the expectation is exact; where one deposit of a chain goes up,
-    # its next goes down: weights that sum to one still do.
-    total = jnp.abs(deposits.weight).sum()
-    scale = 1.0 if exact else jnp.where(jnp.isfinite(total), jnp.exp2(30.0 - jnp.frexp(total)[1]), jnp.nan)
-    up = weyl(deposits.weight.shape[-1])
 
-    def add(step: Array, one: tuple[Deposits, Array]) -> tuple[Array, None]:
-        deposit, odd = one
+    def add(sums: Array, deposit: Deposits) -> tuple[Array, None]:
         where = (deposit.index, place(deposit.x)) if joint else (place(deposit.x),)
-        whole = deposit.weight if exact else jnp.floor(deposit.weight * scale + jnp.where(odd, 1 - up, up))
-        return step.at[where].add(whole.astype(step.dtype), mode="promise_in_bounds"), None
+        return sums.at[where].add(deposit.weight.astype(sums.dtype), mode="promise_in_bounds"), None
 
-    odd = np.arange(len(deposits.weight)) % 2 == 1
-    step = jnp.zeros(sums.shape, sums.dtype if exact else jnp.int32)
     # Of two states or a few candidates no loop is left, of hundreds a short one: compiling must not grow with them.
-    step, _ = jax.lax.scan(add, step, (deposits, odd), unroll=8)
-    return sums + step.astype(sums.dtype) / scale
-
-
-def weyl(n: int) -> Float[Array, " n"]:
-    """Equidistributed numbers inside the unit interval: multiples of the golden ratio (Weyl 1916), in float32."""
-    turns = jnp.arange(n, dtype=jnp.uint32) * jnp.uint32(0x9E3779B9) + jnp.uint32(0x80000000)
-    return ((turns >> 9).astype(jnp.float32) + 0.5) * 2**-23
+    return jax.lax.scan(add, sums, deposits, unroll=8)[0]
 
 
 class Histogram(Estimator):
@@ -151,7 +152,7 @@ class Expectation(Estimator):
 
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Any:
         x = jnp.broadcast_to(jnp.asarray(target.target.domain[0], dtype), np.shape(target.target.domain[0]))
-        return jax.tree.map(lambda y: jnp.zeros(y.shape, dtype), eqx.filter_eval_shape(self.function, x))
+        return jax.tree.map(lambda y: jnp.zeros(np.shape(y), dtype), eqx.filter_eval_shape(self.function, x))
 
     def update(self, sums: Any, steps: Step) -> Any:
         def one(x: Float[Array, "..."], weight: Scalar) -> Any:

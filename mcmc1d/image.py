@@ -46,10 +46,8 @@ class Image(Estimator):
             np.shape(target.target.domain[0]) == np.shape(self.f.domain[0]),
             f"Image: {type(self.f).__name__} and {type(target.target).__name__} have points of different shapes",
         )
-        other = kernel.deposited(target)
-        sampled = (target if other is None else other.target).target
-        if is_concrete(sampled, self.importance):
-            require_sampled(sampled, self.importance)
+        if is_concrete(target.target, self.importance):
+            require_sampled(target.target, self.importance)
         return jnp.zeros((self.pixels.count, 5), dtype)
 
     def update(self, sums: Float[Array, "n 5"], steps: Step) -> Float[Array, "n 5"]:
@@ -64,7 +62,7 @@ class Image(Estimator):
         log_f, log_i = self.f.log_f(x), self.importance.log_f(x)
         # No chain stands where I is zero; a deposit there, of weight zero, stands for nothing.
         z = jnp.where(jnp.isneginf(log_i), 0, jnp.exp(log_f - log_i))
-        per = jnp.exp(jnp.minimum(-log_i, 30))  # or a tail overflows; `Film.variance` has more to say of it
+        per = jnp.exp(jnp.minimum(-log_i, 80))  # or a tail overflows; `Film.variance` has more to say of it
         return weight * film_row(z, jnp.exp(log_f), per)
 
 

@@ -1,4 +1,4 @@
-"""The one place that accepts or rejects, and kernels made of it."""
+"""Where a proposal is accepted or rejected, and kernels made of it."""
 
 import abc
 import itertools
@@ -80,6 +80,10 @@ class Kernel(eqx.Module):
     def check(self, target: Multiplexed) -> None:
         """Raise `ValueError` where the kernel does not fit the target."""
 
+    def sampled(self, target: Multiplexed) -> Multiplexed:
+        """The target that its deposits are samples of: the chain's own, unless the kernel makes others from it."""
+        return target
+
     def deposited(self, target: Multiplexed) -> Deposited | None:
         """What it deposits, where that is not the chain's own target at a total weight of one; on the host."""
         return None
@@ -119,7 +123,12 @@ class Metropolis(OfMove[Move]):
         self.move.check(target)
 
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
-        return accept(target, state, self.move.propose(target, state, w[:-1]), w[-1], self.deposit)
+        proposal = self.move.propose(target, state, w[:-1])
+        who = f"{type(self.move).__name__}.propose"
+        require_instance(proposal, Proposal, f"{who}: what it returns", ": the state, w, log_det and kind")
+        shape = jnp.shape(proposal.log_det)
+        require(shape == (), f"{who}: log_det must be one number for one state, not of shape {shape}")
+        return accept(target, state, proposal, w[-1], self.deposit)
 
 
 def as_kernel(kernel: Kernel | Move, who: str) -> Kernel:
@@ -128,6 +137,9 @@ def as_kernel(kernel: Kernel | Move, who: str) -> Kernel:
         return Metropolis(kernel)
     require_instance(kernel, Kernel, who, "; give a Kernel or a Move")
     return kernel
+
+
+_NOT_ONE = "Cycle: its kernels deposit samples of different things, whose mean has no law to be held to"
 
 
 class Cycle(Kernel):
@@ -156,6 +168,12 @@ class Cycle(Kernel):
         for kernel in self.kernels:
             kernel.check(target)
 
+    def sampled(self, target: Multiplexed) -> Multiplexed:
+        """What the deposits of each are samples of; raises `ValueError` where that is not one thing."""
+        first, *others = (kernel.sampled(target) for kernel in self.kernels)
+        require(all(one is first or bool(eqx.tree_equal(one, first)) for one in others), _NOT_ONE)
+        return first
+
     def deposited(self, target: Multiplexed) -> Deposited | None:
         """What they all deposit; raises `ValueError` where that is not one thing."""
         each = [kernel.deposited(target) for kernel in self.kernels]
@@ -165,7 +183,7 @@ class Cycle(Kernel):
         first = known[0]
         require(
             len(known) == len(each) and all(eqx.tree_equal(one[:2], first[:2]) for one in known),
-            "Cycle: its kernels deposit samples of different things, whose mean has no law to be held to",
+            _NOT_ONE,
         )
         return first._replace(most=max(one.most for one in known))
 
@@ -205,7 +223,7 @@ def accept(
 ) -> Step:
     """Go to the proposal if `uniform` is under its acceptance probability, or stay.
 
-    Every kernel on a `Multiplexed` accepts here.
+    Every kernel on a `Multiplexed` accepts here, but for `packets.AuxiliaryCentre`, which never rejects.
     """
     proposed = target.evaluate(proposal.state)
     a = acceptance(state, Proposal(proposed, proposal.w, proposal.log_det, proposal.kind))

@@ -179,6 +179,20 @@ def cumulative(shares: Sequence[Scalar]) -> list[Scalar]:
     return [end / total[-1] for end in total[:-1]] + [jnp.ones_like(total[-1])]
 
 
+def ends_of(shares: Float[Array, " n"]) -> Float[Array, " n+1"]:
+    """The same of an array of shares: what the last of them leaves to rounding is no interval of its own."""
+    sums = jnp.cumsum(shares)
+    return jnp.concatenate([jnp.zeros(1, sums.dtype), sums[:-1] / sums[-1], jnp.ones(1, sums.dtype)])
+
+
+def r_sequence(count: int, d: int) -> np.ndarray:
+    """The first points of a low-discrepancy sequence in the unit cube, (count, d): Roberts 2018, "R_d"."""
+    root = 2.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (d + 1))
+    return np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, d + 1) % 1
+
+
 def width(ends: Ends, k: Index) -> Scalar:
     """The length of interval `k`."""
     return entry(ends[1:], k) - entry(ends[:-1], k)

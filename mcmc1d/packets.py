@@ -12,7 +12,7 @@ from mcmc1d.metropolis import Deposits, Info, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, MultipleTry, Proposal, SmallStep
 from mcmc1d.moves.candidates import insert
 from mcmc1d.moves.multiple_try import around, possible, row
-from mcmc1d.numerics import choose, in_unit_cube, require
+from mcmc1d.numerics import choose, ends_of, in_unit_cube, require
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 
@@ -56,7 +56,7 @@ class PublishedDeposit(OfMove[MultipleTry]):
                 for w, family in ((forth, packet.candidates), (back, packet.competitors))
             )
         forth = jnp.where(alone, 0, a * jax.nn.softmax(forth))
-        back = jnp.where(alone, 0, (1 - a) * jax.nn.softmax(back))
+        back = jnp.where(alone | (a >= 1), 0, (1 - a) * jax.nn.softmax(back))  # which may be dark, and then is NaN
         weights = jnp.concatenate([forth, back, jnp.where(alone, 1, 0)[None].astype(a.dtype)])
         deposits = _deposits([packet.candidates, packet.competitors, _one(state)], weights, state)
         return Step(step.state, deposits, step.info)
@@ -106,8 +106,7 @@ class AuxiliaryCentre(Kernel):
         log_weights = log_weights.at[0].set(jnp.where(jnp.isneginf(log_weights).all(), 0, log_weights[0]))
         shares = jax.nn.softmax(log_weights)
         states = jax.tree.map(lambda one, more: insert(more, one, jnp.zeros((), jnp.int32)), state, family.state)
-        first, last = jnp.zeros(1, shares.dtype), jnp.ones(1, shares.dtype)
-        k, _ = choose(jnp.concatenate([first, jnp.cumsum(shares)[:-1], last]), w[-1])
+        k, _ = choose(ends_of(shares), w[-1])
         moved = 1 - shares[0]
         info = Info(jnp.zeros(1, jnp.int32), moved[None], jnp.asarray(k > 0)[None])
         return Step(row(states, k), _deposits([states], shares, state), info)

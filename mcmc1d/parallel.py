@@ -47,12 +47,12 @@ def run_blocks(
     advance: Advance,
     fresh: Sequence[Place],
     steps: int,
-    per_drain: int,
+    per_look: int,
     progress: Callable[[int, int], None] | None,
     identity: Callable[[], dict[str, Any]],
     saving: Saving,
 ) -> list[Place]:
-    """Every block's place after so many steps, in pieces of `per_drain`, from the `fresh` ones or the checkpoint's.
+    """Every block's place after so many steps, in pieces of `per_look`, from the `fresh` ones or the checkpoint's.
 
     `advance(block, device, place, count)` is the place `count` steps after another. `identity` says what the run is.
     """
@@ -65,7 +65,7 @@ def run_blocks(
             def whole(k: int, device: Any) -> None:
                 place = keeper.places[k]
                 while place.step < steps:
-                    place = advance(mine[k], device, place, min(per_drain, steps - place.step))
+                    place = advance(mine[k], device, place, min(per_look, steps - place.step))
                     keeper.record(k, place)
                     if progress is not None:
                         with counting:

@@ -159,7 +159,7 @@ class PooledDeposit(OfMove[Move]):
 
     Sample i of u gets C_i(u) / C(u), times 1 - a for the current and a for the proposed u. Their expectation over the
     chain is the integral of f over a bin, divided by that of C; the total of a step is one for the sum, and up to n
-    for the maximum. Deposit k stands for technique k mod n; its `index` is that of the one technique of the cube.
+    for the maximum. Deposit k is of technique k mod n, its `index`.
     """
 
     move: Move
@@ -170,6 +170,10 @@ class PooledDeposit(OfMove[Move]):
     def check(self, target: Multiplexed) -> None:
         _pooled(target)
         self.move.check(target)
+
+    def sampled(self, target: Multiplexed) -> Multiplexed:
+        """What is pooled."""
+        return _pooled(target).multiplexed
 
     def deposited(self, target: Multiplexed) -> Deposited:
         """Samples of the f that is pooled; with the maximum, so many a step as its integral has fallen short of b.
@@ -196,7 +200,7 @@ class PooledDeposit(OfMove[Move]):
         here = own.contributions(state.u)
         there = select(a > 0, made, here)  # an impossible proposal may be no point at all
         weight = jnp.concatenate([_shares(own, here[1], 1 - a), _shares(own, there[1], a)])
-        x, index = jnp.concatenate([here[0], there[0]]), jnp.zeros(weight.shape, jnp.int32)
+        x, index = jnp.concatenate([here[0], there[0]]), jnp.arange(len(weight), dtype=jnp.int32) % (len(weight) // 2)
         return Step(step.state, Deposits(x, index, weight), step.info)
 
 

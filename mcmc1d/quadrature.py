@@ -13,7 +13,7 @@ from scipy.integrate import cubature
 
 from mcmc1d.checks import rising
 from mcmc1d.compiling import quickly
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast, r_sequence, require
 from mcmc1d.types import Array, Float
 
 
@@ -123,10 +123,15 @@ def integrate_box(
 
 
 def midpoints(lower: np.ndarray, upper: np.ndarray, count: int) -> np.ndarray:
-    """About `count` midpoints of a regular grid over a box: shape (n,), or (n, d) for corners of shape (d,)."""
+    """About `count` midpoints of a regular grid over a box: shape (n,), or (n, d) for corners of shape (d,).
+
+    In so many dimensions that two a side are more, a low-discrepancy sequence of `count` points.
+    """
     lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
     if lower.ndim == 0:
         return lower + (upper - lower) * (np.arange(count) + 0.5) / count
+    if 2**lower.size > count:
+        return lower + (upper - lower) * r_sequence(count, lower.size)
     side = max(2, round(count ** (1 / lower.size)))
     grid = np.array(list(itertools.product((np.arange(side) + 0.5) / side, repeat=lower.size)))
     return lower + (upper - lower) * grid

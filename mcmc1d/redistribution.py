@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require_key, require_whole
+from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image, film_row
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
@@ -150,10 +151,10 @@ def _walk(
             w = uniforms(key, k, (kernel.dim_w(target), weight.shape[0]), dtype)
             step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
             step = eqx.tree_at(lambda s: s.deposits.weight, step, step.deposits.weight * weight[None])
-            return step.state, estimator.update(sums, step), accepted + (step.info.acceptance[0] * weight).sum()
+            return step.state, added(estimator, sums, step), accepted + (step.info.acceptance[0] * weight).sum()
 
         begun = jax.vmap(target.evaluate, out_axes=-1)(state)
-        zero = jnp.zeros((scene.pixels.count, 5), dtype)
+        zero = empty(estimator, target, kernel)
         _, sums, accepted = jax.lax.fori_loop(0, length, body, (begun, zero, jnp.zeros((), dtype)))
         return sums, accepted
 

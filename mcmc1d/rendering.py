@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require_key, require_whole
+from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image
 from mcmc1d.importance import Product, Regions, require_importance
 from mcmc1d.metropolis import Kernel, as_kernel
@@ -198,8 +199,8 @@ class Renderer(eqx.Module):
             fault = int(np.max(faults))
             require(fault == 0, f"render: {_FAULTS.get(fault)}")
         sums, accepted = np.zeros(()), np.zeros(())
-        for first in range(0, steps, _STEPS_PER_DRAIN):
-            count = min(_STEPS_PER_DRAIN, steps - first)
+        for first in range(0, steps, _STEPS_AT_ONCE):
+            count = min(_STEPS_AT_ONCE, steps - first)
             more, rate, state = _expose(
                 keys, self.scene, self.kernel, values, regions, state, _whole(first), _whole(count)
             )
@@ -222,8 +223,8 @@ class Renderer(eqx.Module):
         return jnp.asarray(np.pad(values, pad, constant_values=1.0))
 
 
-_STEPS_PER_DRAIN = 2**9
-"""A float32 sum must not grow so large that the deposits of constant weight are all rounded alike."""
+_STEPS_AT_ONCE = 2**9
+"""So that acceptances, which are added up in float32, stay exact enough."""
 _ATTEMPTS = 2**18
 """Candidates for each exact start, at most."""
 _NOT_FINITE, _TOO_NARROW = 1, 2
@@ -275,9 +276,9 @@ def _expose(
             state, sums, accepted = carry
             w = uniforms(step_key, first + k, (kernel.dim_w(target), begin.u.shape[-1]), dtype)
             step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
-            return step.state, estimator.update(sums, step), accepted + step.info.acceptance.mean()
+            return step.state, added(estimator, sums, step), accepted + step.info.acceptance.mean()
 
-        zero = jnp.zeros((scene.pixels.count, 5), dtype)
+        zero = empty(estimator, target, kernel)
         begun = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(begin)
         last, sums, accepted = jax.lax.fori_loop(0, count, body, (begun, zero, jnp.zeros((), dtype)))
         return sums, accepted, State(last.index, last.u)

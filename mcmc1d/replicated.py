@@ -99,6 +99,10 @@ class ReplicaDeposit(OfMove[Move]):
             f"ReplicaDeposit: {len(own.techniques)} replicas have as many shares, none negative, not {self.shares}",
         )
 
+    def sampled(self, target: Multiplexed) -> Multiplexed:
+        """What the replicas are of."""
+        return _replicated(target).multiplexed
+
     def deposited(self, target: Multiplexed) -> Deposited:
         total = float(np.sum(self.shares))
         return Deposited(_replicated(target).multiplexed, total, total)

@@ -40,9 +40,11 @@ def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normal
     total = square = 0.0
     batches = -(-samples // batch)
     for k in range(batches):
-        c = np.asarray(_draw(jax.random.fold_in(key, k), target, batch, jnp.zeros(()).dtype)[1], np.float64)
+        state, density, _ = _draw(jax.random.fold_in(key, k), target, batch, jnp.zeros(()).dtype)
+        c = np.asarray(density, np.float64)
+        if not np.isfinite(c).all():
+            raise ValueError(f"normalisation: {target.complaint(_first(state, ~np.isfinite(c)))}")
         total, square = total + c.sum(), square + (c * c).sum()
-        require(bool(np.isfinite(total)), f"normalisation: {type(target.target).__name__} is NaN or infinite somewhere")
     n = batches * batch
     mean = total / n
     deviation = np.sqrt(max(square / n - mean * mean, 0) / (n - 1))
@@ -88,14 +90,9 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
         attempt += 1
         density = np.asarray(density, np.float64)
         if not np.isfinite(density).all():
-            k = int(np.argmax(~np.isfinite(density)))
-            x, i = np.asarray(state.seen.x)[k], np.asarray(state.index)[k]
-            if np.isnan(np.asarray(state.seen.log_f)[k]):
-                raise ValueError(target.target.complaint(x))
             raise ValueError(
-                f"{type(target.target).__name__}: the density of technique {i} is not finite at u = "
-                f"{np.asarray(state.u)[k]}, x = {x}: rejection needs a bounded one; give a technique with the target's "
-                "pole, or start="
+                f"exact_start: {target.complaint(_first(state, ~np.isfinite(density)))}; rejection needs a finite "
+                "density: mend it, or for a pole give a technique that has it, or start="
             )
         # Long before the last candidate it can be told that they will not do.
         hopeless = attempt - since >= 64 and found * _MOST_ATTEMPTS < count * (attempt - since)
@@ -145,11 +142,17 @@ def require_defined(target: Multiplexed, state: State, trapped: Bool[Array, " ch
     bad = np.flatnonzero(np.asarray(trapped))
     if bad.size == 0:
         return
-    x = target.forward(jnp.asarray(state.index)[bad[0]], jnp.asarray(state.u)[bad[0]])[0]
+    found = target.evaluate(State(jnp.asarray(state.index)[bad[0]], jnp.asarray(state.u)[bad[0]]))
     raise ValueError(
-        f"{target.target.complaint(np.asarray(x))}; {bad.size} of {len(trapped)} chains came upon such a place between "
-        "the probes of Multiplexed, and no law is defined by it: let f be 0 there, or define it"
+        f"{target.complaint(found)}; {bad.size} of {len(trapped)} chains came upon such a place between "
+        "the probes of Multiplexed, and no law is defined by it: let it be 0 there, or define it"
     )
+
+
+def _first(states: State, which: np.ndarray) -> State:
+    """The first of many states that is one of `which`."""
+    k = int(np.argmax(which))
+    return jax.tree.map(lambda leaf: leaf[k], states)
 
 
 def uniform_states(

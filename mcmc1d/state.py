@@ -92,6 +92,14 @@ class Multiplexed(eqx.Module):
         self.family = techniques
         if weights is None:
             weights = Balance()
+        own = not isinstance(weights, type) and callable(weights)
+        if not own:
+            require_instance(weights, Weights, "Multiplexed: the weights", ", nor a function (x, p) -> w")
+        ends = np.asarray(target.domain[0]), np.asarray(target.domain[1])
+        require(
+            not is_concrete(*target.domain) or all(bool(np.isfinite(end).all()) for end in ends),
+            f"Multiplexed: the domain of {type(target).__name__} must be bounded, not {target.domain}",
+        )
         self.weights = weights if isinstance(weights, Weights) else FromFunction(weights)
         require(len(self.techniques) > 0, "Multiplexed: give one technique at least")
         shapes = {sample_shape(technique) for technique in self.techniques} | {np.shape(target.domain[0])}
@@ -161,10 +169,29 @@ class Multiplexed(eqx.Module):
 
         `p`: the densities themselves, where they are at hand.
 
-        Where the target is NaN it is +inf: no law is defined, and to reject silently would make one up. A chain that
+        Where the target, a technique's density, a weight or the point itself is NaN it is +inf: no law is defined, and
+        to reject silently would make one up. A chain that
         comes there stays, so that whoever looks at its state when it is done finds it; the runner does.
         """
-        return jnp.where(jnp.isnan(log_f), jnp.inf, self.weights.log_ratio(x, log_p, index, p) + log_f)
+        log_ratio = self.weights.log_ratio(x, log_p, index, p)
+        undefined = jnp.isnan(log_f) | jnp.isnan(log_ratio) | jnp.isnan(x).any()
+        return jnp.where(undefined, jnp.inf, log_ratio + log_f)
+
+    def complaint(self, state: State) -> str:
+        """What is not a number at an evaluated state where `log_c` is +inf, and where that is."""
+        seen, i = state.seen, int(state.index)
+        x, u = np.asarray(seen.x), np.asarray(state.u)
+        undefined = [k for k, log_p in enumerate(seen.log_p) if np.isnan(log_p)]
+        if np.isnan(x).any():
+            return f"technique {i} ({type(self.techniques[i]).__name__}): its sample is NaN at u = {u}"
+        if np.isnan(seen.log_f):
+            return self.target.complaint(x)
+        if undefined:
+            k = undefined[0]
+            return f"technique {k} ({type(self.techniques[k]).__name__}): its log_prob is NaN at x = {x}"
+        if np.isinf(seen.log_f):
+            return f"{type(self.target).__name__} is infinite at x = {x}"
+        return f"{type(self.weights).__name__}: the weight of technique {i} is not finite at x = {x}"
 
     def joint_masses(self, edges: Edges) -> np.ndarray:
         """The exact law of (technique, x): the integral of w_i f / b over each bin, of shape (n_techniques, bins).

@@ -46,6 +46,9 @@ class SubChain(Kernel):
         self.outer.check(target)
         self.inner.check(target)
 
+    def sampled(self, target: Multiplexed) -> Multiplexed:
+        return self.inner.sampled(target)
+
     def deposited(self, target: Multiplexed) -> Deposited | None:
         return self.inner.deposited(target)
 

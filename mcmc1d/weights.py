@@ -34,11 +34,15 @@ class Weights(eqx.Module):
     def log_ratio(
         self, x: Float[Array, "..."], log_p: Sequence[Scalar], index: Index, p: Sequence[Scalar] | None = None
     ) -> Scalar:
-        """Log w_i(x) / p_i(x) of technique i = `index`, -inf where p_i(x) is zero; `p`: the densities, if at hand."""
+        """Log w_i(x) / p_i(x) of technique i = `index`, -inf where p_i(x) is zero; `p`: the densities, if at hand.
+
+        NaN where a density or a weight is.
+        """
         own = pick(log_p, index)
         ratio = pick(self.log_weights(x, log_p), index) - own
-        # A sample where its own technique's density is zero to the last bit stands for nothing, whatever its weight.
-        return jnp.where(jnp.isnan(ratio) | jnp.isneginf(own), -jnp.inf, ratio)
+        # A sample where its own technique's density is zero to the last bit stands for nothing, whatever its weight;
+        # and so does one at a pole, where quotients of infinities have no value.
+        return jnp.where(jnp.isinf(own) & ~((own > 0) & (ratio < jnp.inf)), -jnp.inf, ratio)
 
 
 class Balance(Weights):
@@ -51,14 +55,14 @@ class Balance(Weights):
     def log_ratio(
         self, x: Float[Array, "..."], log_p: Sequence[Scalar], index: Index, p: Sequence[Scalar] | None = None
     ) -> Scalar:
-        """-log sum_j p_j."""
+        """-log sum_j p_j; NaN where a density is."""
         if len(log_p) == 1:
             total, possible = log_p[0], log_p[0] > -jnp.inf
         elif p is None:
             total, possible = log_sum(log_p), pick(log_p, index) > -jnp.inf
         else:
             total, possible = jnp.log(functools.reduce(operator.add, p)), pick(p, index) > 0
-        return jnp.where(possible & ~jnp.isnan(total), -total, -jnp.inf)
+        return jnp.where(possible | jnp.isnan(total), -total, -jnp.inf)
 
 
 class Power(Weights):

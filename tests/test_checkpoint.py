@@ -22,7 +22,7 @@ TABLE = np.linspace(0, 1, 32, dtype=np.float32)
 
 @pytest.fixture(autouse=True)
 def many_drains(monkeypatch):
-    monkeypatch.setattr(chain, "_STEPS_PER_DRAIN", 8)
+    monkeypatch.setattr(chain, "_STEPS_PER_LOOK", 8)
 
 
 SMALL = moves.SmallStep()
@@ -69,7 +69,7 @@ def left(path):
 def whole():
     """The run without a break and without a file."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chain, "_STEPS_PER_DRAIN", 8)
+        patch.setattr(chain, "_STEPS_PER_LOOK", 8)
         return short()
 
 
@@ -237,7 +237,7 @@ def start(checkpoint, cores):
         os.sched_setaffinity(0, cores)
         import mcmc1d
         from mcmc1d import chain, moves, targets, techniques
-        chain._STEPS_PER_DRAIN = 64
+        chain._STEPS_PER_LOOK = 64
         target = mcmc1d.Multiplexed(targets.Sinusoid(), (techniques.Tent(), techniques.Uniform()))
         file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         run = mcmc1d.run(

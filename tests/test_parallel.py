@@ -18,7 +18,7 @@ if role.isdigit():
     jax.distributed.initialize(address, num_processes=2, process_id=int(role))
 import mcmc1d
 from mcmc1d import chain, moves, parallel, targets, techniques
-chain._STEPS_PER_DRAIN = 16
+chain._STEPS_PER_LOOK = 16
 target = mcmc1d.Multiplexed(targets.Sinusoid(), (techniques.Tent(), techniques.Uniform()))
 start = mcmc1d.State(np.arange(96) % 2, np.linspace(0, 1, 96, endpoint=False)[:, None])
 used = set()

@@ -7,10 +7,12 @@ import pytest
 
 import mcmc1d
 from mcmc1d import chain, moves, targets, techniques
+from mcmc1d.checks import require_whole
 from mcmc1d.estimators import add_deposits
 from mcmc1d.metropolis import Deposits
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.technique import LOPSIDED
+from mcmc1d.pooled import PooledDeposit, pooled
 from mcmc1d.verify.goodness import p_value, smallest_gap
 from mcmc1d.verify.mutants.jumps import no_jacobian
 
@@ -89,7 +91,7 @@ def test_numbers_do_not_depend_on_workers_or_on_drains(monkeypatch):
     """Exactly, for a move that hands on no evaluation: after a drain the state is evaluated afresh."""
     whole = short_run(move=moves.SmallStep())
     monkeypatch.setattr(chain.os, "sched_getaffinity", lambda _: {0}, raising=False)
-    monkeypatch.setattr(chain, "_STEPS_PER_DRAIN", 7)
+    monkeypatch.setattr(chain, "_STEPS_PER_LOOK", 7)
     pieces = short_run(move=moves.SmallStep())
     assert np.array_equal(whole.state.u, pieces.state.u)
     assert np.allclose(whole.sums["h"], pieces.sums["h"], rtol=1e-6)
@@ -104,41 +106,52 @@ def test_no_count_is_lost_beyond_what_a_float32_can_hold():
     assert run.sums["h"].sum() == 2**25
 
 
-def in_two_bins(small):
-    """What 8192 chains leave that deposit 1 - `small` in the first of two bins, and `small` in the second."""
-
-    def one(small):
-        return Deposits(jnp.asarray([0.25, 0.75]), jnp.zeros(2, int), jnp.stack([1 - small, small]))
-
-    deposits = jax.vmap(one, out_axes=-1)(jnp.full(8192, small, jnp.float32))
-    return add_deposits(jnp.zeros(2, jnp.float32), deposits, lambda x: (2 * x).astype(int), joint=False)
-
-
-def test_deposits_far_below_the_histograms_unit_are_right_on_average(monkeypatch):
-    """Whose unit is 2**-16, 15 times 1e-6: to the nearest none would be kept.
-
-    The numbers that round are equidistributed: a sum is off by a few units at most, not by the root of 8192.
-    """
-    for small in (1e-6, 1e-5, 0.3):
-        sums = in_two_bins(small)
-        assert float(sums[1]) == pytest.approx(8192 * small, rel=2e-7, abs=4 * 2**-16)  # float32
-        assert float(sums.sum()) == 8192  # a step's weights still sum to one
-    monkeypatch.setattr("mcmc1d.estimators.weyl", lambda n: jnp.full(n, 0.5))
-    assert float(in_two_bins(1e-6)[1]) == 0
+def in_bins(bins, places, weight):
+    """What 8192 chains leave that deposit `weight`, (deposits, chains) in float32, at these places."""
+    with jax.enable_x64(True):
+        x = jnp.broadcast_to(jnp.asarray(places, jnp.float32)[:, None], weight.shape)
+        one = jax.vmap(lambda x, w: Deposits(x, jnp.zeros(w.shape, jnp.int32), w), -1, -1)
+        deposits = one(x, jnp.asarray(weight, jnp.float32))
+        zero = jnp.zeros(bins, jnp.float64)
+        return np.asarray(add_deposits(zero, deposits, lambda x: (bins * x).astype(int), joint=False))
 
 
-def test_heavy_deposits_overflow_nothing_and_nan_stays():
-    def one(weight):
-        def deposit(weight):
-            return Deposits(jnp.full(1, 0.25), jnp.zeros(1, int), weight[None])
+@pytest.mark.parametrize("small", [1e-12, 1e-6, 0.3])
+def test_thousands_of_deposits_are_not_rounded_alike(small):
+    """In float32 a bin's sum loses a small deposit beside large ones, and rounds equal ones to the same side."""
+    weight = np.broadcast_to(np.array([1 - small, small], np.float32)[:, None], (2, 8192))
+    exact = 8192 * weight[:, 0].astype(np.float64)
+    assert in_bins(2, [0.25, 0.75], weight) == pytest.approx(exact, rel=1e-11)
+    assert in_bins(1, [0.25, 0.75], weight) == pytest.approx(exact.sum(), rel=1e-11)
 
-        deposits = jax.vmap(deposit, out_axes=-1)(jnp.full(8192, weight))
-        return np.asarray(add_deposits(jnp.zeros(2), deposits, lambda x: (2 * x).astype(int), joint=False))
 
-    assert one(4.0).tolist() == [32768, 0]
-    assert one(1e9)[0] == pytest.approx(8192e9, rel=1e-6)
-    assert one(0.0).tolist() == [0, 0]
-    assert np.isnan(one(np.nan)[0])
+def test_sums_are_float64_whatever_the_chains_are():
+    """2**22 times a third, by a user's estimator and by the library's, in float32 chains."""
+
+    class Thirds(mcmc1d.estimators.Estimator):
+        def init(self, target, kernel, dtype):
+            return jnp.zeros(2)
+
+        def update(self, sums, steps):
+            return sums.at[0].add((steps.deposits.weight / 3).sum(0)[0] * steps.deposits.x.shape[-1])
+
+    third = np.float64(np.float32(1) / np.float32(3))
+    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Uniform())
+    kernel = mcmc1d.Metropolis(moves.LargeStep(), deposit="plain")
+    estimators = {"own": Thirds(), "expectation": mcmc1d.Expectation(lambda x: jnp.float32(1) / 3)}
+    run = mcmc1d.run(
+        jax.random.key(0), kernel, target, steps=4096, chains=1024, blocks=1, estimators=estimators, dtype=jnp.float32
+    )
+    assert run.sums["expectation"].dtype == run.sums["own"].dtype == np.float64
+    assert run.mean("expectation") == pytest.approx(third, rel=1e-6)  # a step's 1024 are summed in float32
+    assert run.mean("own")[0] == pytest.approx(third, rel=1e-13)
+
+
+def test_heavy_and_light_deposits_are_added_and_nan_stays():
+    for weight in (4.0, 1e9, 0.0, 1e-32):
+        each = np.full((1, 8192), weight, np.float32)
+        assert in_bins(2, [0.25], each).tolist() == [8192 * float(each[0, 0]), 0]
+    assert np.isnan(in_bins(2, [0.25], np.full((1, 8192), np.nan))[0])
 
 
 def test_hundreds_of_deposits_a_step_are_added_as_few_are():
@@ -295,3 +308,47 @@ def test_right_moves_keep_the_exact_law(move):
 )
 def test_their_twins_without_the_determinant_do_not(wrong):
     assert law_after_16_steps(with_small_steps(wrong)) < LEVEL
+
+
+def test_numbers_of_numpy_are_whole_too():
+    """A checkpoint's head holds them: it could not be written, when the run was done."""
+    assert type(require_whole(np.int64(20), "a run's steps")) is int
+
+
+def test_an_expectation_of_a_plain_number_counts_the_steps():
+    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Uniform())
+    estimators = {"one": mcmc1d.Expectation(lambda x: 1.0)}
+    run = mcmc1d.run(jax.random.key(0), moves.SmallStep(), target, steps=20, chains=64, estimators=estimators)
+    assert run.mean("one") == pytest.approx(1, abs=1e-6)
+
+
+# --- what is deposited is not always the chain's own target ---------------------------------------------------------
+
+
+def wide():
+    """A flat f on [-1, 2], by two techniques: what deposits its samples walks on a cube, which is another domain."""
+    f = targets.FromFunction(lambda x: 1.0 + 0 * x, -1.0, 2.0)
+    flat, steep = techniques.PiecewiseConstant([-1, 2], [1]), techniques.PiecewiseConstant([-1, 0, 2], [3, 1])
+    return mcmc1d.Multiplexed(f, (flat, steep))
+
+
+def test_sums_are_of_what_is_deposited():
+    """By PSSMLT on [-1, 2]: bins of that domain, jointly with the technique; those of the cube are refused."""
+    own, kernel = wide(), PooledDeposit(moves.LargeStep())
+    edges = np.linspace(-1, 2, 7)
+    estimators = {"law": mcmc1d.Histogram(edges), "joint": mcmc1d.Histogram(edges, joint=True)}
+    run = mcmc1d.run(jax.random.key(0), kernel, pooled(own), steps=256, chains=2**12, estimators=estimators)
+    for name, exact in (("law", np.full(6, 1 / 6)), ("joint", own.joint_masses(edges))):
+        error = run.standard_error(name)
+        assert np.all(np.abs(run.mean(name) - exact) < 15 * error + 1e-6)  # of 8 blocks: 1e-6 each
+    with pytest.raises(ValueError, match=r"Histogram: .*\[-1"):
+        mcmc1d.run(jax.random.key(0), kernel, pooled(own), steps=1, estimators={"h": mcmc1d.Histogram(6)})
+
+
+def test_a_cycle_of_kernels_that_deposit_different_things_has_no_sums():
+    """PSSMLT's small step deposits samples of f; the large step beside it, a plain one, deposits u."""
+    mixed = mcmc1d.Cycle([PooledDeposit(moves.SmallStep(0.1)), moves.LargeStep()])
+    with pytest.raises(ValueError, match="Cycle: its kernels deposit samples of different things"):
+        mcmc1d.run(jax.random.key(0), mixed, pooled(wide()), steps=1, estimators={"h": mcmc1d.Histogram(6)})
+    both = mcmc1d.Cycle([PooledDeposit(moves.SmallStep(0.1)), PooledDeposit(moves.LargeStep())])
+    mcmc1d.run(jax.random.key(0), both, pooled(wide()), steps=1, estimators={"h": mcmc1d.Histogram([-1, 2])})

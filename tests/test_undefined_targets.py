@@ -1,5 +1,6 @@
 """What a target must not be is said by name, with the place: NaN between the probes, negative, or unbounded."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 import mcmc1d
 from mcmc1d import moves, targets, techniques
 from mcmc1d.moves.multiple_try import evenly
-from mcmc1d.packets import AuxiliaryCentre
+from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
 from mcmc1d.subchain import SplitSample, SubChain
 from mcmc1d.targets import FromFunction
+from mcmc1d.techniques import Inversion
+from mcmc1d.weights import Power
 
 NARROW = 0.300123  # no probe lies within 1e-4 of it: they are 4.9e-4 apart
 
@@ -29,8 +32,48 @@ def chained(target, **changes):
 
 @pytest.mark.parametrize(("value", "message"), [(jnp.nan, "NaN at x = 0.300"), (-1.0, "negative at x = 0.300.*f = -1")])
 def test_a_narrow_spike_that_a_chain_meets_is_an_error(value, message):
-    with pytest.raises(ValueError, match=f"{message}.*chains came upon such a place.*let f be 0 there"):
+    with pytest.raises(ValueError, match=f"{message}.*chains came upon such a place.*let it be 0 there"):
         chained(spike(value, 1e-5))
+
+
+class Steep(Inversion):
+    """The uniform technique, but for a density or a sample that is NaN above 3/4: what only float32 overflows to."""
+
+    lost: str = eqx.field(static=True, default="density")
+
+    def quantile(self, u):
+        return jnp.where((u > 0.75) & (self.lost == "sample"), jnp.nan, u)
+
+    def cdf(self, x):
+        return x
+
+    def log_prob(self, x):
+        log_p = jnp.where((x >= 0) & (x <= 1), 0.0, -jnp.inf)
+        return jnp.where((x > 0.75) & (self.lost == "density"), jnp.nan, log_p)
+
+
+@pytest.mark.parametrize(
+    ("techniques", "weights", "message"),
+    [
+        ((techniques.Tent(), Steep()), None, r"technique 1 \(Steep\): its log_prob is NaN at x = 0"),
+        ((techniques.Tent(), Steep()), Power(), r"technique 1 \(Steep\): its log_prob is NaN at x = 0"),
+        ((Steep("sample"),), None, r"technique 0 \(Steep\): its sample is NaN at u = "),
+        (
+            (techniques.Tent(), techniques.Uniform()),
+            lambda x, p: jnp.where(x > 0.75, jnp.nan, p / p.sum()),
+            "FromFunction: the weight of technique . is not finite at x = ",
+        ),
+    ],
+)
+def test_what_is_not_a_number_is_no_zero(techniques, weights, message):
+    """Of a technique or a weight, as of the target: the mass there was silently lost, or all of it counted as less."""
+    chain = mcmc1d.Multiplexed(targets.Sinusoid(), techniques, weights, probes=0)
+    start = mcmc1d.State(np.zeros(256, np.int32), np.linspace(0.1, 0.5, 256)[:, None])
+    with pytest.raises(ValueError, match=f"{message}.*came upon such a place"):
+        mcmc1d.run(jax.random.key(0), moves.LargeStep(), chain, steps=50, chains=256, start=start)
+    for look in (mcmc1d.normalisation, lambda key, chain: mcmc1d.exact_start(key, chain, 64)):
+        with pytest.raises(ValueError, match=message):
+            look(jax.random.key(0), chain)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +96,13 @@ def test_a_kernel_of_many_candidates_does_not_pass_it_over(kernel):
 
 
 @pytest.mark.parametrize(
-    "kernel", [moves.MultipleTry(moves.LargeStep(), 3), AuxiliaryCentre(moves.LargeStep(), 3), moves.LargeStep()]
+    "kernel",
+    [
+        moves.MultipleTry(moves.LargeStep(), 3),
+        PublishedDeposit(moves.MultipleTry(moves.LargeStep(), 3)),
+        AuxiliaryCentre(moves.LargeStep(), 3),
+        moves.LargeStep(),
+    ],
 )
 def test_a_dark_start_is_left(kernel):
     target = mcmc1d.Multiplexed(targets.Tabulated([0, 1]), techniques.Uniform())

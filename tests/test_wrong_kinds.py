@@ -67,6 +67,11 @@ CALLS = {
     "verify.verify(walk, verify.Law(draws, scipy.special.ndtr, log_density=numpy.square))": "law: log_density, a",
     "Multiplexed(targets.FromFunction(numpy.exp), techniques.Uniform())": "f, or a weight, can not be traced by JAX",
     "run(key, move, target, steps=1, chains=8).mean('x')": "no estimator of this run is called 'x'; it has none",
+    "run(key, Bare(), target, steps=1)": "Bare.propose: what it returns must be a Proposal, not a tuple",
+    "run(key, Careless(), target, steps=1)": "Careless.propose: log_det must be one number for one state, not of",
+    "run(key, move, target, steps=2**31)": "run: steps are counted in 32 bits, and 2147483648 are too many",
+    "Multiplexed(targets.Sinusoid(), techniques.Uniform(), weights.Balance)": "the weights: give an instance, Balance",
+    "Multiplexed(targets.Sinusoid(), techniques.Uniform(), 'balance')": "the weights must be a Weights, not a str, nor",
     "run(jax.random.key(0, impl='rbg'), move, target, steps=1)": "the random key must be one threefry key",
 }
 SCRIPT = """
@@ -77,6 +82,12 @@ from mcmc1d import flatland, tempering
 key, move, target = jax.random.key(0), moves.SmallStep(), Multiplexed(targets.Sinusoid(), techniques.Uniform())
 def walk(key, x): return x + jax.random.normal(key, x.shape)
 def draws(rng, n): return rng.normal(size=n)
+class Careless(moves.SmallStep):
+    def propose(self, target, state, w):
+        return moves.Proposal(state, w, jax.numpy.zeros(1))
+class Bare(moves.SmallStep):
+    def propose(self, target, state, w):
+        return state, w, jax.numpy.zeros(())
 said = {}
 for call in json.loads(sys.argv[1]):
     try:

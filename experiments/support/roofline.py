@@ -47,6 +47,8 @@ def _count(program: Jaxpr) -> float:
             total += equation.params["length"] * sum(inner)
         elif name == "cond":
             total += max(inner)
+        elif name == "scatter-add":  # as many additions as there are numbers to add
+            total += math.prod(shapes[-2])
         elif inner:
             total += sum(inner)
         elif name not in _MOVED:

@@ -15,7 +15,6 @@ from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.sampling import exposed
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast, require
-from mcmc1d.pooled import Pooled
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Float, Key
 
@@ -38,15 +37,14 @@ class Exposure(Estimator):
 
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, " n"]:
         shape = np.shape(target.target.domain[0])
-        pooled = isinstance(target.target, Pooled)
         require(
-            pooled or shape == (self.paths.dim,),
+            shape == (self.paths.dim,),
             f"Exposure: for paths of {self.paths.dim} numbers, not for points of shape {shape}",
         )
         return jnp.zeros(self.paths.sensor.pixels, dtype)
 
     def update(self, sums: Float[Array, " n"], steps: Step) -> Float[Array, " n"]:
-        pixel = jax.vmap(cast(self.paths, sums.dtype).pixel, in_axes=-1)
+        pixel = jax.vmap(cast(self.paths, steps.deposits.x.dtype).pixel, in_axes=-1)
         return add_deposits(sums, steps.deposits, pixel, joint=False)
 
 

@@ -256,7 +256,7 @@ class Scene:
     @property
     def touching(self) -> np.ndarray:
         """Whether each end, (segments, 2), touches another segment."""
-        return (self._gaps() <= 1e-9 * self._extent()).any(-1)
+        return np.any(self._gaps() <= 1e-9 * self._extent(), axis=-1)
 
     def _gaps(self) -> np.ndarray:
         """How far each end is from each other segment, (segments, 2, segments); infinite from its own."""

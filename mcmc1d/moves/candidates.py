@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
-from mcmc1d.numerics import below_one, require, stratum, wrap
+from mcmc1d.numerics import below_one, r_sequence, require, stratum, wrap
 from mcmc1d.types import Array, Float, Index
 
 
@@ -143,8 +142,4 @@ def _pairs(rows: Float[Array, "q r"]) -> Float[Array, "p r"]:
 
 
 def _sequence(p: int, r: int, like: Array) -> Float[Array, "p r"]:
-    root = 2.0
-    for _ in range(64):
-        root = (1 + root) ** (1 / (r + 1))
-    points = np.arange(1, p + 1)[:, None] * root ** -np.arange(1.0, r + 1) % 1
-    return jnp.asarray(points, like.dtype)
+    return jnp.asarray(r_sequence(p, r), like.dtype)

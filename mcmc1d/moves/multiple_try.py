@@ -14,7 +14,7 @@ from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.candidates import Antithetic, Candidates, Independent, Rotated, Stratified
 from mcmc1d.moves.primary import ExponentialStep, SmallStep
-from mcmc1d.numerics import choose, in_unit_cube, require, select, unchoose
+from mcmc1d.numerics import choose, ends_of, in_unit_cube, require, select, unchoose
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 
@@ -178,8 +178,7 @@ def _ends(log_weights: Float[Array, " p"]) -> Float[Array, " p+1"]:
     """The ends of intervals in proportion to the weights; equal ones where all are zero."""
     largest = jnp.max(log_weights)
     shares = jnp.where(largest > -jnp.inf, jnp.exp(log_weights - largest), 1)
-    sums = jnp.cumsum(shares)
-    return jnp.concatenate([jnp.zeros(1, sums.dtype), sums[:-1] / sums[-1], jnp.ones(1, sums.dtype)])
+    return ends_of(shares)
 
 
 def _require_symmetric(move: MultipleTry, target: Multiplexed, probes: int = 64) -> None:

@@ -262,6 +262,8 @@ class _Runner:
         law = np.exp(np.asarray(self.states.seen.log_c))
         require(bool(law.sum() > 0), "enumerate_kernel: the density is zero at every state")
         self.law = law / law.sum()
+        # What is no sample of the chain's own target has an index of another family: it is known by its x alone.
+        self.own = kernel.sampled(target) is target
 
         def one(who: Array, w: Array) -> Step:
             return kernel.step(target, jax.tree.map(lambda leaf: leaf[who], self.states), w)
@@ -292,12 +294,13 @@ class _Runner:
         index, u = np.asarray(step.state.index), np.asarray(step.state.u)
         there = np.concatenate([index[:, None], u], axis=1)
         np.add.at(matrix, (who, _nearest(there, where, "the state after a step")), weight)
-        where = np.concatenate([self.index[:, None], self.x], axis=1)
+        own = np.asarray(self.own, float)
+        where = np.concatenate([own * self.index[:, None], self.x], axis=1)
         for k in range(step.deposits.weight.shape[1]):
             amount = step.deposits.weight[:, k]
             given = amount != 0
             x = step.deposits.x[:, k].reshape(len(who), -1)
-            there = np.concatenate([step.deposits.index[:, k, None], x], axis=1)[given]
+            there = np.concatenate([own * step.deposits.index[:, k, None], x], axis=1)[given]
             to = _nearest(there, where, "a deposit")
             np.add.at(deposits, (who[given], to), (weight * amount)[given])
         return Enumeration(matrix, deposits, self.law)

@@ -164,7 +164,7 @@ def long_point(seed):
 
 
 def test_a_long_run_inside_of_a_point_goes_on_where_it_was(tmp_path, monkeypatch):
-    monkeypatch.setattr(chain, "_STEPS_PER_DRAIN", 8)
+    monkeypatch.setattr(chain, "_STEPS_PER_LOOK", 8)
     monkeypatch.setattr(long, "SECONDS", 0.0)
     path, seen = tmp_path / ".long.journal", []
 

@@ -43,7 +43,8 @@ class EachChain(Estimator):
         return jnp.zeros((self.paths.sensor.pixels, self.chains), dtype)
 
     def update(self, sums: Float[Array, "n c"], steps: Step) -> Float[Array, "n c"]:
-        paths, deposits = cast(self.paths, sums.dtype), steps.deposits
+        deposits = steps.deposits
+        paths = cast(self.paths, deposits.x.dtype)
         k = self.only
         if k is not None:
             deposits = jax.tree.map(lambda part: part[k : k + 1], deposits)
@@ -52,7 +53,9 @@ class EachChain(Estimator):
         def one(sums: Float[Array, "n c"], deposit: tuple[Array, Array]) -> tuple[Float[Array, "n c"], None]:
             x, weight = deposit
             pixel = jax.vmap(paths.pixel, in_axes=-1)(x)
-            return sums.at[pixel, lane].add(weight, mode="promise_in_bounds", unique_indices=True), None
+            return sums.at[pixel, lane].add(
+                weight.astype(sums.dtype), mode="promise_in_bounds", unique_indices=True
+            ), None
 
         few = deposits.weight.shape[0] <= _WRITTEN_OUT
         return jax.lax.scan(one, sums, (deposits.x, deposits.weight), unroll=few)[0]

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.compiling import wide_jit
-from mcmc1d.estimators import Estimator
+from mcmc1d.estimators import Estimator, added, empty
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.importance import OverPixels, Shader
 from mcmc1d.flatland.integrators.chains import EachChain
@@ -51,7 +51,7 @@ class Moments(Estimator):
         moved, here = deposits.x, seen.x[None]
         log_s, log_here = self._log_shader(moved), self._log_shader(here)
         # As in `image.Image`: 1 / C has a heavy tail, which must not overflow.
-        per = jnp.exp(jnp.minimum(-seen.log_c, 30))[None]
+        per = jnp.exp(jnp.minimum(-seen.log_c, 80))[None]
         rows = (
             (moved, deposits.weight),
             (moved, deposits.weight * jnp.exp(-log_s)),
@@ -129,10 +129,10 @@ def _exposed(
         state, sums, accepted = carry
         w = uniforms(key, first + k, (kernel.dim_w(target), values.shape[1]), dtype)
         step = jax.vmap(one, in_axes=-1, out_axes=-1)(values, state, w)
-        return step.state, film.update(sums, step), accepted + step.info.acceptance.mean(0)
+        return step.state, added(film, sums, step), accepted + step.info.acceptance.mean(0)
 
     begun = jax.vmap(lambda v, s: own(v).evaluate(s), in_axes=-1, out_axes=-1)(values, State(state.index, state.u))
-    nothing = film.init(target, kernel, dtype), jnp.zeros_like(values[0])
+    nothing = empty(film, target, kernel), jnp.zeros_like(values[0])
     last, sums, accepted = jax.lax.fori_loop(0, count, body, (begun, *nothing))
     return State(last.index, last.u), sums, accepted
 
