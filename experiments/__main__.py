@@ -3,6 +3,7 @@
 import dataclasses
 import gc
 import json
+import re
 import time
 from pathlib import Path
 from types import ModuleType
@@ -174,7 +175,8 @@ def scene(
     framework.style()
     for name in names:
         shown = files.read(Path(name)) if name.endswith(".toml") else scenes.scene(name)
-        path = out / f"scene_{shown.name}.png"
+        plain = re.sub(r"[^-.\w]", "_", shown.name)  # a name may hold what no file's may
+        path = out / f"scene_{plain}.png"
         draw_techniques(shown, edges, paths, seed).savefig(path, metadata={"Software": None})
         console.print(str(path), highlight=False, soft_wrap=True)
 

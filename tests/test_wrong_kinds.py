@@ -54,6 +54,20 @@ CALLS = {
     "flatland.integrators.integrate(key, 'pt', flatland.scenes.scene('box'), lengths=1.5)": "must be a whole number",
     "flatland.Segment((0, 0), (1, 1), 3)": "Segment: the material must be a Material, not an int",
     "flatland.Pinhole(3, (1.0, 0.0))": "Pinhole: position is a point, two numbers, not 3",
+    "flatland.Pinhole((0.0, 0.0), (1.0, 0.0), half_angle='0.6')": "half_angle is a number, in radians, not '0.6'",
+    "flatland.integrators.MMLT(chains=1e3)": "MMLT: chains, for a standard error, must be a whole number, 2 at least",
+    "flatland.integrators.MLT(chains=1e3)": "MLT: chains, for a standard error, must be a whole number, 2 at least",
+    "flatland.integrators.MLT(bidirectional=0.9)": "the shares of its mutations must not be negative and sum to 1",
+    "flatland.integrators.StagedMLT(chains=1e3)": "chains, for a standard error, must be a whole number",
+    "flatland.integrators.InstantRadiosity(cameras=8.0)": "cameras must be a whole number, 1 at least, not 8.0",
+    "flatland.integrators.PhotonDensity(photons=8.0)": "photons must be a whole number, 1 at least, not 8.0",
+    "flatland.Exposure('box')": "Exposure: the paths must be a Paths, not a str",
+    "flatland.Bidirectional(BOX, 2)": "lengths are several numbers t, such as (2,), not 2",
+    "flatland.Paths(flatland.scenes.scene('box'), 65)": "65 edges; 64 at most, or the densities leave single precision",
+    "OverPixels(flatland.Light(BOX), [1.0])": "one number for each of 16 pixels, not of shape (1,)",
+    "OverPixels(flatland.Light(BOX), numpy.zeros(16))": "must be positive and finite, or a pixel's light is",
+    "OverPixels(flatland.Light(BOX), numpy.ones(16), 'eye')": "the shader must be a Shader, not a str",
+    "flatland.picture(None, 'x', 'b')": "picture: b is a number, or a Normalisation, not 'b'",
     "flatland.Wall(3)": "Wall: segment is a segment's name, not 3",
     "flatland.Scene('a', [3], flatland.Wall('b'))": "scene a: segment 0 must be a Segment, not an int",
     "flatland.Scene('a', [flatland.Segment((0, 0), (1, 1))], 4)": "the sensor must be a Pinhole or a Wall, not 4",
@@ -79,7 +93,9 @@ import json, sys
 import jax, numpy, scipy.special
 from mcmc1d import *
 from mcmc1d import flatland, tempering
+from mcmc1d.flatland.importance import OverPixels
 key, move, target = jax.random.key(0), moves.SmallStep(), Multiplexed(targets.Sinusoid(), techniques.Uniform())
+BOX = flatland.Paths(flatland.scenes.scene("box"), 2)
 def walk(key, x): return x + jax.random.normal(key, x.shape)
 def draws(rng, n): return rng.normal(size=n)
 class Careless(moves.SmallStep):
@@ -92,7 +108,7 @@ said = {}
 for call in json.loads(sys.argv[1]):
     try:
         said[call] = f"no error but {eval(call)}"
-    except ValueError as error:
+    except Exception as error:
         said[call] = f"{type(error).__name__}: {error}"
 print(json.dumps(said))
 """

@@ -62,6 +62,11 @@ class Contest:
     shadows: int
     """Proposals of each run that are looked at for their shadow rays."""
 
+    def __post_init__(self):
+        pixels = self.scene.sensor.pixels
+        if _BATCH % pixels:
+            raise ValueError(f"pixels must divide {_BATCH}, a batch of stratified samples, not {pixels}")
+
     @property
     def paths(self) -> Paths:
         return Paths(self.scene, self.edges)
@@ -153,7 +158,7 @@ class Contest:
 
 
 _BATCH = 2**8
-"""Independent samples of each run at once; a multiple of the pixels."""
+"""Independent samples of each run at once: stratified over the pixels, a multiple of whose number it must be."""
 
 
 class Draws(NamedTuple):

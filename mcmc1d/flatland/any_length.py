@@ -10,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.bidirectional import Bidirectional, Joined
 from mcmc1d.flatland.evaluation import reads
@@ -30,7 +31,7 @@ class LightOfAnyLength(Target):
 
     def __init__(self, scene: Scene, most: int):
         """`most`: K, the number of edges of the longest paths."""
-        require(most >= 1, f"LightOfAnyLength: the longest path has one edge at least, not {most}")
+        require_whole(most, "LightOfAnyLength: the edges of the longest path")
         self.lights = tuple(Light(Paths(scene, k)) for k in range(1, most + 1))
 
     @property

@@ -68,6 +68,10 @@ class Bidirectional(Family):
         """`lengths`: which t, all of them unless given: (k + 1,) is path tracing without next event estimation."""
         require_instance(paths, Paths, "Bidirectional: the paths")
         known = paths.eye_lengths
+        require(
+            lengths is None or np.iterable(lengths),
+            f"Bidirectional: lengths are several numbers t, such as ({lengths},), not {lengths!r}",
+        )
         self.paths, self.lengths = paths, tuple(known if lengths is None else lengths)
         require(
             len(self.lengths) > 0 and set(self.lengths) <= set(known),

@@ -2,9 +2,10 @@
 
 The same numbers as `Bidirectional.forward`, `Bidirectional.log_probs` and `Light.log_f` find one after the other, which
 walk from both ends all the way and then look at the finished path again. Here the two walks are one: technique (s, t)
-casts t - 1 rays from the sensor and goes on from the lamp, k - 1 rays in all, and the edge that joins is the only one
-that is looked along for something in the way. Every number is one of a path's, none an array over its vertices: then a
-batch of paths is the only axis, the last in memory, and what is done to a path is one expression.
+casts t - 1 rays from the sensor and goes on from the lamp, k - 1 rays in all (of k traced: one is thrown away).
+The edge that joins is the only one that is looked along for something in the way. Every number is one of a path's,
+none an array over its vertices: then a batch of paths is the only axis, the last in memory, and what is done to a path
+is one expression.
 """
 
 from collections.abc import Sequence

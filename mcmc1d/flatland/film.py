@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import Run
-from mcmc1d.checks import require_key, require_whole
+from mcmc1d.checks import require_instance, require_key, require_whole
 from mcmc1d.estimators import Estimator, add_deposits
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
@@ -15,6 +15,7 @@ from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.sampling import exposed
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast, require
+from mcmc1d.starts import Normalisation
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Float, Key
 
@@ -35,6 +36,9 @@ class Exposure(Estimator):
 
     paths: Paths
 
+    def __check_init__(self):
+        require_instance(self.paths, Paths, "Exposure: the paths")
+
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, " n"]:
         shape = np.shape(target.target.domain[0])
         require(
@@ -48,10 +52,16 @@ class Exposure(Estimator):
         return add_deposits(sums, steps.deposits, pixel, joint=False)
 
 
-def picture(run: Run, name: str, b: float) -> Picture:
-    """The image of an `Exposure` called `name` in a run of two blocks or more; b: the integral of what was sampled."""
-    pixels = run.mean(name).shape[-1]
-    return Picture(b * pixels * run.mean(name), b * pixels * run.standard_error(name))
+def picture(run: Run, name: str, b: float | Normalisation) -> Picture:
+    """The image of an `Exposure` called `name` in a run of two blocks or more; b: the integral of what was sampled.
+
+    Known, or as `normalisation` estimates it: then its error is part of the image's.
+    """
+    value, error = b if isinstance(b, Normalisation) else (b, 0.0)
+    require(isinstance(value, int | float | np.floating), f"picture: b is a number, or a Normalisation, not {b!r}")
+    deposits = run.mean(name)
+    pixels = deposits.shape[-1]
+    return Picture(value * pixels * deposits, pixels * np.hypot(value * run.standard_error(name), error * deposits))
 
 
 def independent(key: Key, target: Multiplexed, samples: int) -> Picture:

@@ -6,11 +6,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Light, LightTimes, Paths
 from mcmc1d.flatland.scene import Scene
-from mcmc1d.numerics import parameter, require, require_positive
+from mcmc1d.numerics import is_concrete, parameter, require, require_positive
 from mcmc1d.types import Array, Bool, Float, Real, Scalar
 
 
@@ -54,6 +55,21 @@ class OverPixels(LightTimes):
     light: Light
     values: Float[Real, " pixels"] = eqx.field(converter=parameter)
     shader: Shader | None = None
+
+    def __check_init__(self):
+        shape = (self.light.paths.sensor.pixels,)
+        require(
+            np.shape(self.values) == shape,
+            f"OverPixels: values are one number for each of {shape[0]} pixels, not of shape {np.shape(self.values)}",
+        )
+        if is_concrete(self.values):
+            values = np.asarray(self.values)
+            require(
+                bool(np.all(np.isfinite(values) & (values > 0))),
+                f"OverPixels: values must be positive and finite, or a pixel's light is lost, not {values}",
+            )
+        if self.shader is not None:
+            require_instance(self.shader, Shader, "OverPixels: the shader")
 
     def log_factor(self, x: Float[Array, " d"]) -> Scalar:
         value = jnp.log(jnp.asarray(self.values))[self.light.paths.pixel(x)]

@@ -21,7 +21,7 @@ from mcmc1d.flatland.geometry import Vector, Walls, where
 from mcmc1d.flatland.scattering import Local, brdf, local, log_density
 from mcmc1d.flatland.scene import Scene, require_scene
 from mcmc1d.flatland.sensors import Sensor, sensor_of
-from mcmc1d.numerics import choose, limit, stratum
+from mcmc1d.numerics import choose, limit, require, stratum
 from mcmc1d.targets import Target
 from mcmc1d.types import Array, Bool, Corners, Float, Index, Int, Scalar
 
@@ -53,6 +53,10 @@ class Geometry(NamedTuple):
         return self.segment[1:-1], coming, jax.tree.map(lambda a: a[1:], self.out), self.mirror[1:-1]
 
 
+_LONGEST = 64
+"""Edges: a density is a product of as many factors, of which the smallest paths of all still are float32 numbers."""
+
+
 class Paths(eqx.Module):
     """The space of all paths of k edges in a scene."""
 
@@ -64,6 +68,7 @@ class Paths(eqx.Module):
         """`edges`: k, 1 for a lamp that is seen directly."""
         require_scene(scene, "Paths: the scene")
         require_whole(edges, "Paths: edges")
+        require(edges <= _LONGEST, f"Paths: {edges} edges; {_LONGEST} at most, or the densities leave single precision")
         self.walls, self.sensor, self.edges = Walls(scene), sensor_of(scene), edges
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 from mcmc1d.flatland.geometry import Frame, Vector, Walls
 from mcmc1d.flatland.scattering import Local, lambert_direction, lambert_number
 from mcmc1d.flatland.scene import Pinhole, Scene
-from mcmc1d.numerics import below_one
+from mcmc1d.numerics import below_one, require
 from mcmc1d.types import Array, Bool, Float, Index, Real, Scalar
 
 
@@ -179,9 +179,20 @@ class WallSensor(Sensor):
 
 
 def sensor_of(scene: Scene) -> Sensor:
-    """The tracer's form of a scene's sensor."""
+    """The tracer's form of a scene's sensor; raises `ValueError` where single precision does not see through it."""
     if isinstance(scene.sensor, Pinhole):
-        return Camera(scene.sensor)
+        pinhole = scene.sensor
+        require(
+            pinhole.half_angle >= 1e-4,
+            f"scene {scene.name}: the pinhole's half_angle of {pinhole.half_angle:.2g} is lost in single precision; "
+            "the exact image takes it, the tracer 1e-4 at least",
+        )
+        require(
+            float(np.abs(pinhole.position).max()) <= 100 * scene.extent,
+            f"scene {scene.name}: the pinhole at {pinhole.position} is over 100 times the walls' {scene.extent:.3g} "
+            "away, where single precision does not tell them well; bring it nearer",
+        )
+        return Camera(pinhole)
     segment = scene.sensor_segment
     assert segment is not None
     return WallSensor(segment, scene.sensor.pixels)

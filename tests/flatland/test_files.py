@@ -176,8 +176,8 @@ WRONG = {
     "exponent of 0": ("exponent = 30", "exponent = 0", 7, "material 'grey': exponent must be a whole number from 1"),
     "reflectance over 1": ("exponent = 30", "mirror = 0.7", 5, "material 'grey': the reflectances lambert + glossy + "
         "mirror must sum to 1 at most, not 1.1"),
-    "degrees": ("[-1, -0.5]", "[-1, -0.5]\nhalf_angle = 35", 24, "the pinhole sensor: half_angle is in radians, 1e-4 "
-        "at least (less is lost in single precision) and under 1.57, not 35"),
+    "degrees": ("[-1, -0.5]", "[-1, -0.5]\nhalf_angle = 35", 24, "the pinhole sensor: half_angle is in radians, over 0 "
+        "and under 1.57, not 35"),
     "no direction": ("[-1, -0.5]", "[0, 0]", 23, "the pinhole sensor: direction must be finite and not zero"),
     "no pixels": ("[-1, -0.5]", "[-1, -0.5]\npixels = 0", 24, "the pinhole sensor: pixels must be a whole number, 1"),
     "no emitter": ("emission = 2", "emission = 0", 9, "no segment emits; give one a material with emission > 0"),

@@ -290,8 +290,11 @@ EYE = Pinhole((1.0, 1.0), (0.0, -1.0))
             "has no length.*lost in single precision",
         ),
         (lambda: Scene("eye", (FLOOR,), replace(EYE, position=(2.0, 1e-8))), "stands in segment 0"),
-        (lambda: Scene("orthographic", (FLOOR,), replace(EYE, position=(2.0, 1e4))), "100 times the walls' 4 away"),
-        (lambda: Pinhole((1.0, 1.0), (0.0, -1.0), 1e-5), "1e-4 at least .less is lost in single precision"),
+        (lambda: Paths(Scene("far", (FLOOR,), replace(EYE, position=(2.0, 1e4))), 1), "100 times the walls' 4 away"),
+        (
+            lambda: Paths(Scene("thin", (FLOOR,), replace(EYE, half_angle=1e-5)), 1),
+            "half_angle of 1e-05 is lost in single",
+        ),
         (lambda: Scene("laid", (moved(FLOOR, 0.3), Segment((1.0, 0.1 + 0.2), (2.0, 0.1 + 0.2))), EYE), "overlap"),
         (
             lambda: Scene("gap", (FLOOR, Segment((2.0, 1e-7), (1.0, 1e-7), Material(1.0))), EYE),

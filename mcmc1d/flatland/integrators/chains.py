@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import run
+from mcmc1d.checks import require_whole
 from mcmc1d.estimators import Acceptance, Estimator
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
@@ -106,7 +107,7 @@ class Metropolised(Integrator):
 def require_chains(integrator: Any) -> None:
     """Raise `ValueError` where a setting that all chains have in common is out of range."""
     name = type(integrator).__name__
-    require(integrator.chains >= 2, f"{name}: chains must be 2 at least, for a standard error, not {integrator.chains}")
+    require_whole(integrator.chains, f"{name}: chains, for a standard error,", 2)
     require(integrator.spent_on_b > 0, f"{name}: spent_on_b must be positive, not {integrator.spent_on_b}")
     require(0 <= integrator.large <= 1, f"{name}: large is a probability, not {integrator.large}")
 

@@ -60,6 +60,7 @@ class LightTracing(Integrator):
         return multiplexed(paths, (1,) if paths.sensor.places == 0 else (0, 1), Balance())
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
+        self.check(scene, edges)
         return independent(key, self, scene, edges, samples, brightest_from_lamps(scene, edges))
 
 
@@ -76,7 +77,7 @@ class BidirectionalPathTracing(Integrator):
 
 
 def independent(key: Key, integrator: Integrator, scene: Scene, edges: int, samples: int, most: float) -> Layer:
-    """`most`: what f / (the sum of the p_i) never exceeds; w_i f / p_i does not either, for each of the weights."""
+    """`most`: what f / p of one of the techniques never exceeds, and so w_i f / p_i, for each of the weights."""
     paths = Paths(scene, edges)
     target = integrator.target(paths)
     sums = exposed(key, target, paths, samples, target.n_techniques * most)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.evaluation import reads
@@ -102,7 +103,7 @@ class InstantRadiosity(Passes):
     """Whether to leave out what it can not make."""
 
     def __check_init__(self):
-        require(self.cameras >= 1, f"InstantRadiosity: cameras must be 1 at least, not {self.cameras}")
+        require_whole(self.cameras, "InstantRadiosity: cameras")
         require(bool(self.clamp > 0), f"InstantRadiosity: clamp must be positive, not {self.clamp}; inf clamps nothing")
 
     def check(self, scene: Scene, edges: int) -> None:

@@ -46,6 +46,7 @@ class Passes(Integrator):
         """Of a pass."""
 
     def render(self, key: Key, scene: Scene, edges: int, samples: int) -> Layer:
+        self.check(scene, edges)
         paths, pixels = Paths(scene, edges), scene.sensor.pixels
         steps = max(2, -(-samples // (self.cameras * _LANES)))
         lanes = _summed(key, self, paths, jnp.asarray(steps))

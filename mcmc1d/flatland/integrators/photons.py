@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require_whole
 from mcmc1d.flatland.geometry import Vector, Walls
 from mcmc1d.flatland.integrators.base import brightest, multiplexed
 from mcmc1d.flatland.integrators.passes import Passes
@@ -64,10 +65,8 @@ class PhotonDensity(Passes):
             bool(np.isfinite(self.radius) and self.radius > 0),
             f"PhotonDensity: radius must be positive and finite, not {self.radius}; a radius of 0 meets no photon",
         )
-        require(
-            self.photons >= 1 and self.cameras >= 1,
-            f"PhotonDensity: photons and cameras must be 1 at least, not {self.photons} and {self.cameras}",
-        )
+        require_whole(self.photons, "PhotonDensity: photons")
+        require_whole(self.cameras, "PhotonDensity: cameras")
 
     def target(self, paths: Paths) -> Multiplexed:
         """The paths that photons make which come upon the sensor or, of a pinhole, are joined to it."""

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from mcmc1d.checks import require_whole
 from mcmc1d.flatland.importance import OverPixels, Shader
 from mcmc1d.flatland.integrators.base import Integrator, brightest
 from mcmc1d.flatland.integrators.exposure import exact_starts, expose, highest_seen, unexposed
@@ -89,7 +90,7 @@ class StagedMLT(Integrator):
 
     def __check_init__(self):
         require(self.scheme in SCHEMES, f"StagedMLT: scheme must be one of {', '.join(SCHEMES)}, not {self.scheme!r}")
-        require(self.chains >= 2, f"StagedMLT: chains must be 2 at least, for a standard error, not {self.chains}")
+        require_whole(self.chains, "StagedMLT: chains, for a standard error,", 2)
         require(self.spent_on_b > 0, f"StagedMLT: spent_on_b must be positive, not {self.spent_on_b}")
         shares = self.test_share, self.test_regions
         require(

@@ -1,7 +1,10 @@
 """Metropolis light transport in path space, as Veach and Guibas 1997 have it: one chain for each length."""
 
+import math
+
 import equinox as eqx
 
+from mcmc1d.checks import require_whole
 from mcmc1d.flatland.integrators.base import multiplexed
 from mcmc1d.flatland.integrators.chains import Metropolised
 from mcmc1d.flatland.mutations import veach
@@ -31,9 +34,14 @@ class MLT(Metropolised):
     spent_on_b: float = 0.25
 
     def __check_init__(self):
-        require(self.chains >= 2, f"MLT: chains must be 2 at least, for a standard error, not {self.chains}")
+        require_whole(self.chains, "MLT: chains, for a standard error,", 2)
         require(self.spent_on_b > 0, f"MLT: spent_on_b must be positive, not {self.spent_on_b}")
         require(self.bidirectional > 0, "MLT: without bidirectional mutations no chain gets everywhere; give some")
+        shares = self.bidirectional, self.lens, self.caustic, self.multi_chain
+        require(
+            min(shares) >= 0 and math.isclose(sum(shares), 1, abs_tol=1e-6),
+            f"MLT: the shares of its mutations must not be negative and sum to 1, not {shares}",
+        )
 
     def target(self, paths: Paths) -> Multiplexed:
         return multiplexed(paths, None, self.weights)

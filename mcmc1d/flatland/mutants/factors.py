@@ -197,6 +197,7 @@ MUTANTS = {
         "a wrong G, hidden by rescaling the image to b",
         "images compared after tone mapping or normalisation",
         scene=two_lamps(),
+        samples=2**19,
     ),
     "maximum_by_b_of_sum": Mutant(
         Rescaled(PSSMLT(combine="maximum", chains=2**13), _b_of_the_sum),

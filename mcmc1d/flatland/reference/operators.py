@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from mcmc1d.flatland.reference.glossy import Directions
 from mcmc1d.flatland.reference.mesh import Mesh, Points, legendre, quadrature
 from mcmc1d.flatland.reference.rays import Geometry, Rays, trace
+from mcmc1d.numerics import require
 
 # Matrix entries made at a time.
 _BATCH = 1_000_000
@@ -87,6 +88,10 @@ def gather(sources: Sources, rays: Rays, rows: int, depth: int, points: int, mea
     return parts.gather(float(missed.max(initial=0)))
 
 
+_MOST_ENTRIES = 150_000_000
+"""Of an operator: 16 bytes each, and three times as much while it is made."""
+
+
 def incoming(
     sources: Sources, rays: Rays, depth: int, points: int
 ) -> tuple[Gather, np.ndarray, np.ndarray, np.ndarray]:
@@ -106,6 +111,11 @@ def incoming(
         weights.append(seen.weight.ravel())
         owners.append(np.repeat(seen.row, points))
     count = sum(len(a) for a in angles)
+    require(
+        count * sources.mesh.order * sources.directions.order <= _MOST_ENTRIES,
+        f"image: the glossy walls see {count} places in {sources.directions.count} directions, which memory does not "
+        "hold; pass a coarser resolution=, or lower the largest exponent",
+    )
     parts, start = _Parts(sources, count, depth), 0
     for seen in batches:
         parts.radiance(seen, start)

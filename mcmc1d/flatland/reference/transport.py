@@ -58,10 +58,13 @@ class Reference:
 
 
 def image(scene: Scene, lengths: int, resolution: Resolution | None = None) -> Reference:
-    """The images of paths of exactly 1, 2, ..., `lengths` edges."""
+    """The images of paths of exactly 1, 2, ..., `lengths` edges.
+
+    Raises `ValueError` where the scene's glossy walls are too many for the resolution.
+    """
     require_scene(scene, "image: the scene")
     require_whole(lengths, "image: lengths")
-    return _compared(scene, resolution, lambda r: (_Transport(scene, lengths - 1, r).orders(lengths), 0.0))
+    return _compared(scene, resolution, lambda r: (_Transport(scene, lengths - 1, r, lengths > 1).orders(lengths), 0.0))
 
 
 def converged(scene: Scene, resolution: Resolution | None = None) -> Reference:
@@ -90,7 +93,7 @@ def _compared(scene: Scene, resolution: Resolution | None, compute) -> Reference
 class _Transport:
     """The operators of one scene at one resolution, for chains of up to `depth` mirrors."""
 
-    def __init__(self, scene: Scene, depth: int, resolution: Resolution):
+    def __init__(self, scene: Scene, depth: int, resolution: Resolution, scattered: bool = True):
         materials = [segment.material for segment in scene.segments]
         if not scene.mirrors:
             depth = 0
@@ -98,7 +101,8 @@ class _Transport:
         self.scene, self.depth, self.resolution = scene, depth, resolution
         self.geometry = Geometry.of(scene)
         self.mesh = make_mesh(scene, self.geometry, resolution, depth, steepest)
-        directions = Directions.of(steepest, resolution.lobe, resolution.order) if steepest else None
+        glossy = scattered and steepest > 0  # a lamp seen directly asks for no lobe
+        directions = Directions.of(steepest, resolution.lobe, resolution.order) if glossy else None
         self.sources = Sources.of(self.geometry, self.mesh, materials, directions)
         self.exponent = np.array([m.exponent for m in materials])
         self.node_segment = np.repeat(self.mesh.segment, self.mesh.order)
@@ -197,7 +201,8 @@ class _Transport:
 
             irradiance = arrives(self.nodes)
             images.append(self._pixels(irradiance) if self.film is None else arrives(self.film))
-            sent.append(self._reflect(irradiance, None if self.glossy is None else arrives(self.glossy[0])))
+            if k < lengths:
+                sent.append(self._reflect(irradiance, None if self.glossy is None else arrives(self.glossy[0])))
         return np.array(images)
 
     def solution(self) -> tuple[np.ndarray, float]:
