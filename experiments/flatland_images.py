@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
 
+from experiments.support.flatland_sharp import LOOKS, sharp
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland import Paths
@@ -30,9 +31,6 @@ STRICT = ("pt", "bdpt", "pssmlt_sum", "pssmlt_max", "mmlt", "rjmlt")
 
 CHAINS = 2**18
 """Of what runs chains: a deviation of their mean is bounded by their number."""
-
-LOOKS = 4
-"""Images of one scene by one integrator, at most: each is longer, until it is sharp enough; the last counts."""
 
 
 @dataclass(frozen=True)
@@ -157,21 +155,7 @@ def held(
     exact = np.array(values), np.array(errors)
     key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(integrator.encode()))
     goal *= 1 if integrator in STRICT else 3
-    margin = 1.3 if hasattr(make, "chains") else 1.15
-    samples, sharper = 2**log2_pilot, 2.0  # by how much for four times the samples, until a second look tells
-    before: tuple[int, float] | None = None
-    for look in range(LOOKS):
-        found = integrate(jax.random.fold_in(key, look), make, of, lengths=lengths, samples=samples)
-        # Which image is the last depends on its own spread: each has a share of the level.
-        result = compare(found, *exact, level / LOOKS)
-        error, most = float(result.detectable[-1].max()), 2**log2_work * samples / (found.rays * len(of.segments))
-        if error <= goal or samples >= most:
-            break
-        if before is not None:  # the error of short chains falls more slowly than samples grow
-            sharper = np.clip((before[1] / error) ** (np.log(4) / np.log(samples / before[0])), 1.5, 2.0)
-        before = samples, error
-        growth = margin * 4 ** (np.log(error / goal) / np.log(sharper))
-        samples = int(min(samples * min(growth, 64), most))
+    found, result, samples = sharp(key, make, of, lengths, 2**log2_pilot, goal, 2**log2_work, exact, level)
     techniques = [len(Paths(of, layer.edges).eye_lengths) for layer in found.layers]
     off = Image([layer.scaled(1 - 1 / n) for layer, n in zip(found.layers, techniques, strict=True)])
     return {
@@ -246,7 +230,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
     detectable = exact.detectable.to_numpy()
     goals = float(data.goal) * np.where(np.isin(exact.integrator.to_numpy(), STRICT), 1, 3)
     bounded = seen & np.isfinite(detectable)
-    sharp = int((bounded & (detectable <= goals)).sum())
+    met = int((bounded & (detectable <= goals)).sum())
     twins = exact.twin.to_numpy()[seen]
     caught, right = data.caught.to_numpy(), data.right_passes.to_numpy()
     missed = [str(m) for m in data.mutant.to_numpy()[~(caught & right)]]
@@ -262,7 +246,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
             "holds" if excess.max() <= 1 else "fails",
             "holds",
             f"worst pixel at {excess.max():.2f} of what would have failed; {blind}",
-            f"family-wise {LEVEL:g}, Bernstein; would have found {found}, and {asked} in {sharp} of {seen.sum()}",
+            f"family-wise {LEVEL:g}, Bernstein; would have found {found}, and {asked} in {met} of {seen.sum()}",
         ),
     ]
     if len(caught):
