@@ -114,7 +114,7 @@ def work_of(make: Integrator, target: Multiplexed, paths: Paths) -> float:
         assert isinstance(make, Metropolised)
         kernel, film = cast((make.kernel(), EachChain(paths, _LANES)), dtype)
         steps = looked(partial(kernel.step, target))(state, uniforms(key, 0, (kernel.dim_w(target), _LANES), dtype))
-        return added(film, empty(film, target, kernel), steps)
+        return added(film, empty(film, target, kernel, dtype), steps)
 
     if isinstance(make, Metropolised):
         return operations(mutation, looked(target.evaluate)(start), key) / _LANES

@@ -136,7 +136,7 @@ def run(
     index, u = begin(start_key, target, start, chains, dtype, "run")
     target, kernel, asked = cast(target, dtype), cast(kernel, dtype), cast(asked, dtype)
     size = chains // blocks
-    zeros = {name: empty(estimator, target, kernel) for name, estimator in asked.items()}
+    zeros = {name: empty(estimator, target, kernel, dtype) for name, estimator in asked.items()}
     nothing = jax.tree.map(np.asarray, zeros)
     per_look = max(1, min(_STEPS_PER_LOOK, _CHAIN_STEPS_PER_LOOK // size))
     fresh = [Place(0, State(index[b : b + size], u[b : b + size]), nothing) for b in range(0, chains, size)]

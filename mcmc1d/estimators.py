@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -27,6 +27,9 @@ class Estimator(eqx.Module):
     are in: a float32 sum would round thousands of deposits alike.
     """
 
+    reads_deposits: ClassVar[bool] = True
+    """Whether `update` looks at what is deposited, which must be samples of one thing then."""
+
     @abc.abstractmethod
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Any:
         """The accumulator at zero, in `dtype`; raises `ValueError` where the estimator does not fit the target.
@@ -39,21 +42,31 @@ class Estimator(eqx.Module):
         """`sums` with the deposits of one step of every chain added."""
 
 
-def empty(estimator: Estimator, target: Multiplexed, kernel: Kernel) -> Any:
-    """An estimator's accumulator at zero, for what the kernel deposits; in float64 where JAX's x64 is off too."""
+def empty(estimator: Estimator, target: Multiplexed, kernel: Kernel, dtype: Any) -> Any:
+    """An estimator's accumulator at zero, for what the kernel deposits: of 64 bits, whatever the chains' dtype is."""
+    of = kernel.sampled(target) if estimator.reads_deposits else target
+    zeros = estimator.init(of, kernel, dtype)
     with jax.enable_x64(True):
-        return jax.tree.map(_widest, estimator.init(kernel.sampled(target), kernel, jnp.float64))
+        return jax.tree.map(lambda leaf: jnp.zeros(jnp.shape(leaf), _WIDE.get(jnp.asarray(leaf).dtype.kind)), zeros)
+
+
+_WIDE = {"f": jnp.float64, "i": jnp.int64, "u": jnp.uint64, "c": jnp.complex128}
+"""What sums of each kind of number are kept in."""
 
 
 def added(estimator: Estimator, sums: Any, steps: Step) -> Any:
-    """What `update` makes of an accumulator of `empty`, in the same precision."""
+    """What `update` makes of an accumulator of `empty`; it is traced with JAX's x64 on."""
+
+    def kept(old: Array, new: Any) -> Array:
+        new = jnp.asarray(new)
+        require(
+            new.dtype.kind == old.dtype.kind,
+            f"{type(estimator).__name__}.update returned {new.dtype} for a sum that init made {old.dtype}",
+        )
+        return new.astype(old.dtype)
+
     with jax.enable_x64(True):
-        return jax.tree.map(lambda old, new: jnp.asarray(new, old.dtype), sums, estimator.update(sums, steps))
-
-
-def _widest(leaf: Any) -> Array:
-    leaf = jnp.asarray(leaf)
-    return leaf.astype(jnp.float64) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+        return jax.tree.map(kept, sums, estimator.update(sums, steps))
 
 
 def require_estimators(estimators: Mapping[str, Estimator] | None) -> dict[str, Estimator]:
@@ -129,6 +142,8 @@ class Acceptance(Estimator):
     The sums are two arrays of shape (kinds,); their ratio is the acceptance rate.
     """
 
+    reads_deposits: ClassVar[bool] = False
+
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> tuple[Array, Array]:
         zero = jnp.zeros(len(kernel.kinds), dtype)
         return zero, zero
@@ -152,15 +167,17 @@ class Expectation(Estimator):
 
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Any:
         x = jnp.broadcast_to(jnp.asarray(target.target.domain[0], dtype), np.shape(target.target.domain[0]))
-        return jax.tree.map(lambda y: jnp.zeros(np.shape(y), dtype), eqx.filter_eval_shape(self.function, x))
+        found = eqx.filter_eval_shape(lambda x: jax.tree.map(jnp.asarray, self.function(x)), x)
+        return jax.tree.map(lambda y: jnp.zeros(y.shape, jnp.result_type(y.dtype, dtype)), found)
 
     def update(self, sums: Any, steps: Step) -> Any:
         def one(x: Float[Array, "..."], weight: Scalar) -> Any:
             return jax.tree.map(lambda y: y * weight, self.function(x))
 
         deposits = steps.deposits
-        # The chains are the last axis of x, after its own.
-        found = jax.vmap(jax.vmap(one, in_axes=-1))(deposits.x, deposits.weight)
+        with jax.enable_x64(deposits.x.dtype == jnp.float64):  # the function is traced as the chains are
+            # The chains are the last axis of x, after its own.
+            found = jax.vmap(jax.vmap(one, in_axes=-1))(deposits.x, deposits.weight)
         return jax.tree.map(lambda total, new: total + new.sum((0, 1)), sums, found)
 
 

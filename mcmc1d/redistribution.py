@@ -154,7 +154,7 @@ def _walk(
             return step.state, added(estimator, sums, step), accepted + (step.info.acceptance[0] * weight).sum()
 
         begun = jax.vmap(target.evaluate, out_axes=-1)(state)
-        zero = empty(estimator, target, kernel)
+        zero = empty(estimator, target, kernel, dtype)
         _, sums, accepted = jax.lax.fori_loop(0, length, body, (begun, zero, jnp.zeros((), dtype)))
         return sums, accepted
 

@@ -278,7 +278,7 @@ def _expose(
             step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
             return step.state, added(estimator, sums, step), accepted + step.info.acceptance.mean()
 
-        zero = empty(estimator, target, kernel)
+        zero = empty(estimator, target, kernel, dtype)
         begun = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(begin)
         last, sums, accepted = jax.lax.fori_loop(0, count, body, (begun, zero, jnp.zeros((), dtype)))
         return sums, accepted, State(last.index, last.u)

@@ -95,11 +95,9 @@ class Multiplexed(eqx.Module):
         own = not isinstance(weights, type) and callable(weights)
         if not own:
             require_instance(weights, Weights, "Multiplexed: the weights", ", nor a function (x, p) -> w")
-        ends = np.asarray(target.domain[0]), np.asarray(target.domain[1])
-        require(
-            not is_concrete(*target.domain) or all(bool(np.isfinite(end).all()) for end in ends),
-            f"Multiplexed: the domain of {type(target).__name__} must be bounded, not {target.domain}",
-        )
+        if is_concrete(*target.domain):
+            bounded = all(bool(np.isfinite(np.asarray(end)).all()) for end in target.domain)
+            require(bounded, f"Multiplexed: the domain of {type(target).__name__} must be bounded, not {target.domain}")
         self.weights = weights if isinstance(weights, Weights) else FromFunction(weights)
         require(len(self.techniques) > 0, "Multiplexed: give one technique at least")
         shapes = {sample_shape(technique) for technique in self.techniques} | {np.shape(target.domain[0])}
@@ -174,12 +172,18 @@ class Multiplexed(eqx.Module):
         comes there stays, so that whoever looks at its state when it is done finds it; the runner does.
         """
         log_ratio = self.weights.log_ratio(x, log_p, index, p)
-        undefined = jnp.isnan(log_f) | jnp.isnan(log_ratio) | jnp.isnan(x).any()
-        return jnp.where(undefined, jnp.inf, log_ratio + log_f)
+        dark = jnp.isneginf(log_f)  # whatever the weights are
+        undefined = jnp.isnan(log_f) | jnp.isnan(x).any() | (jnp.isnan(log_ratio) & ~dark)
+        return jnp.where(undefined, jnp.inf, jnp.where(dark, -jnp.inf, log_ratio + log_f))
 
     def complaint(self, state: State) -> str:
-        """What is not a number at an evaluated state where `log_c` is +inf, and where that is."""
+        """What is not a number at an evaluated state whose density is not finite, and where that is."""
         seen, i = state.seen, int(state.index)
+        if np.isfinite(seen.log_c):
+            return (
+                f"{type(self.target).__name__}: the density's logarithm reaches {float(seen.log_c):.4g}, and it is "
+                f"infinite in {seen.log_c.dtype}: subtract a constant from log f, no law depends on it"
+            )
         x, u = np.asarray(seen.x), np.asarray(state.u)
         undefined = [k for k, log_p in enumerate(seen.log_p) if np.isnan(log_p)]
         if np.isnan(x).any():

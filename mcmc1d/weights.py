@@ -42,7 +42,7 @@ class Weights(eqx.Module):
         ratio = pick(self.log_weights(x, log_p), index) - own
         # A sample where its own technique's density is zero to the last bit stands for nothing, whatever its weight;
         # and so does one at a pole, where quotients of infinities have no value.
-        return jnp.where(jnp.isinf(own) & ~((own > 0) & (ratio < jnp.inf)), -jnp.inf, ratio)
+        return jnp.where(jnp.isinf(own), -jnp.inf, ratio)
 
 
 class Balance(Weights):
@@ -87,7 +87,8 @@ class Maximum(Weights):
         best, largest = jnp.zeros((), jnp.int32), log_p[0]
         for i, p in enumerate(log_p[1:], 1):
             best, largest = jnp.where(p > largest, i, best), jnp.maximum(p, largest)
-        return [jnp.where(best == i, jnp.zeros_like(p), -jnp.inf) for i, p in enumerate(log_p)]
+        share = jnp.where(jnp.isnan(largest), jnp.nan, 0.0)  # which a comparison does not see
+        return [jnp.where(best == i, share.astype(p.dtype), -jnp.inf) for i, p in enumerate(log_p)]
 
 
 class FromFunction(Weights):

@@ -21,7 +21,7 @@ TABLE = np.linspace(0, 1, 32, dtype=np.float32)
 
 
 @pytest.fixture(autouse=True)
-def many_drains(monkeypatch):
+def many_pieces(monkeypatch):
     monkeypatch.setattr(chain, "_STEPS_PER_LOOK", 8)
 
 
@@ -259,16 +259,16 @@ def reported():
 
 cores = os.sched_getaffinity(0)
 os.waitpid(start(None, cores), 0)
-drain, before, lost = 64 * 256, 0, []
+piece, before, lost = 64 * 256, 0, []
 for k in range(kills):
     if os.path.exists(log):
         os.unlink(log)
-    alone = k % 2 == 0  # then no thread goes on while another saves: nothing is lost but the drain at work
+    alone = k % 2 == 0  # then no thread goes on while another saves: nothing is lost but the piece at work
     pid, began = start(path, set(list(cores)[:1]) if alone else cores), time.monotonic()
     while not reported() and time.monotonic() < began + 200:
         time.sleep(0.005)
     if not alone:
-        lost.append((before - (reported()[0] - drain)) / drain)
+        lost.append((before - (reported()[0] - piece)) / piece)
     time.sleep(dice.uniform(0, 0.25))
     os.kill(pid, signal.SIGINT if k == 1 else signal.SIGKILL)
     os.waitpid(pid, 0)
@@ -295,6 +295,6 @@ def test_killed_again_and_again_it_ends_with_the_same_bits(tmp_path):
     assert len(lines) == 5, done.stdout + done.stderr
     whole, interrupted, lost, resumed = lines[:4]
     assert "go on with the same call and resume=True" in interrupted
-    assert float(lost.split()[1]) <= 1  # drain
+    assert float(lost.split()[1]) <= 1  # piece
     assert 0 < float(lost.split()[3]) < 1
     assert resumed == whole

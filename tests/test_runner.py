@@ -1,5 +1,6 @@
 """The one accept, deposits, and the runner: reproducible, lossless, indifferent to how the work is divided."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -87,14 +88,14 @@ def test_same_key_same_numbers_another_key_others():
     assert not np.array_equal(short_run().sums["h"], short_run(1).sums["h"])
 
 
-def test_numbers_do_not_depend_on_workers_or_on_drains(monkeypatch):
-    """Exactly, for a move that hands on no evaluation: after a drain the state is evaluated afresh."""
+def test_numbers_do_not_depend_on_workers_or_on_pieces(monkeypatch):
+    """Exactly, for a move that hands on no evaluation: after each piece the state is evaluated afresh."""
     whole = short_run(move=moves.SmallStep())
     monkeypatch.setattr(chain.os, "sched_getaffinity", lambda _: {0}, raising=False)
     monkeypatch.setattr(chain, "_STEPS_PER_LOOK", 7)
     pieces = short_run(move=moves.SmallStep())
     assert np.array_equal(whole.state.u, pieces.state.u)
-    assert np.allclose(whole.sums["h"], pieces.sums["h"], rtol=1e-6)
+    assert np.allclose(whole.sums["h"], pieces.sums["h"], rtol=1e-12)
 
 
 def test_no_count_is_lost_beyond_what_a_float32_can_hold():
@@ -145,6 +146,51 @@ def test_sums_are_float64_whatever_the_chains_are():
     assert run.sums["expectation"].dtype == run.sums["own"].dtype == np.float64
     assert run.mean("expectation") == pytest.approx(third, rel=1e-6)  # a step's 1024 are summed in float32
     assert run.mean("own")[0] == pytest.approx(third, rel=1e-13)
+
+
+TABLE = np.linspace(0, 1, 3)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x: jax.lax.fori_loop(0, 3, lambda i, c: c + x, jnp.float32(0)),
+        lambda x: jax.lax.cond(x > 0.5, lambda: x, lambda: jnp.float32(0)),
+        lambda x: jax.lax.select(x > 0.5, x, jnp.zeros((), jnp.float32)),
+        lambda x: jax.lax.scan(lambda c, y: (c + y * x, None), x, TABLE)[0],
+    ],
+)
+def test_what_an_expectation_is_of_is_traced_as_the_chains_are(function):
+    """Where a loop's carry, or both branches, must be of one type: float32 like x, not what sums are kept in."""
+    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Uniform())
+    estimators = {"own": mcmc1d.Expectation(function), "complex": mcmc1d.Expectation(lambda x: jnp.exp(1j * x))}
+    run = mcmc1d.run(
+        jax.random.key(0), moves.LargeStep(), target, steps=8, chains=64, estimators=estimators, dtype=jnp.float32
+    )
+    assert run.sums["own"].dtype == np.float64
+    assert np.iscomplex(run.mean("complex"))
+
+
+class _Counts(mcmc1d.estimators.Estimator):
+    """Steps as whole numbers, past what 32 bits hold; or, wrongly, fractions of them."""
+
+    share: float = eqx.field(static=True, default=1.0)
+
+    def init(self, target, kernel, dtype):
+        return jnp.zeros((), jnp.int32)
+
+    def update(self, sums, steps):
+        return sums + (2**30 if self.share == 1 else self.share)
+
+
+def test_counts_are_whole_and_long():
+    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Uniform())
+    run = mcmc1d.run(
+        jax.random.key(0), moves.LargeStep(), target, steps=16, chains=8, blocks=1, estimators={"n": _Counts()}
+    )
+    assert run.sums["n"].sum() == 16 * 2**30
+    with pytest.raises(ValueError, match=r"_Counts.update returned float\d\d for a sum that init made int64"):
+        mcmc1d.run(jax.random.key(0), moves.LargeStep(), target, steps=1, chains=8, estimators={"n": _Counts(0.5)})
 
 
 def test_heavy_and_light_deposits_are_added_and_nan_stays():
@@ -350,5 +396,6 @@ def test_a_cycle_of_kernels_that_deposit_different_things_has_no_sums():
     mixed = mcmc1d.Cycle([PooledDeposit(moves.SmallStep(0.1)), moves.LargeStep()])
     with pytest.raises(ValueError, match="Cycle: its kernels deposit samples of different things"):
         mcmc1d.run(jax.random.key(0), mixed, pooled(wide()), steps=1, estimators={"h": mcmc1d.Histogram(6)})
+    mcmc1d.run(jax.random.key(0), mixed, pooled(wide()), steps=1, estimators={"a": mcmc1d.Acceptance()})
     both = mcmc1d.Cycle([PooledDeposit(moves.SmallStep(0.1)), PooledDeposit(moves.LargeStep())])
     mcmc1d.run(jax.random.key(0), both, pooled(wide()), steps=1, estimators={"h": mcmc1d.Histogram([-1, 2])})

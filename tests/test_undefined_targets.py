@@ -13,7 +13,7 @@ from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
 from mcmc1d.subchain import SplitSample, SubChain
 from mcmc1d.targets import FromFunction
 from mcmc1d.techniques import Inversion
-from mcmc1d.weights import Power
+from mcmc1d.weights import Maximum, Power
 
 NARROW = 0.300123  # no probe lies within 1e-4 of it: they are 4.9e-4 apart
 
@@ -57,6 +57,8 @@ class Steep(Inversion):
     [
         ((techniques.Tent(), Steep()), None, r"technique 1 \(Steep\): its log_prob is NaN at x = 0"),
         ((techniques.Tent(), Steep()), Power(), r"technique 1 \(Steep\): its log_prob is NaN at x = 0"),
+        ((Steep(), techniques.Tent()), Maximum(), r"technique 0 \(Steep\): its log_prob is NaN at x = 0"),
+        ((techniques.Tent(), Steep()), Maximum(), r"technique 1 \(Steep\): its log_prob is NaN at x = 0"),
         ((Steep("sample"),), None, r"technique 0 \(Steep\): its sample is NaN at u = "),
         (
             (techniques.Tent(), techniques.Uniform()),
@@ -73,6 +75,29 @@ def test_what_is_not_a_number_is_no_zero(techniques, weights, message):
         mcmc1d.run(jax.random.key(0), moves.LargeStep(), chain, steps=50, chains=256, start=start)
     for look in (mcmc1d.normalisation, lambda key, chain: mcmc1d.exact_start(key, chain, 64)):
         with pytest.raises(ValueError, match=message):
+            look(jax.random.key(0), chain)
+
+
+def test_where_f_is_zero_weights_do_not_matter():
+    """A technique whose density is NaN beyond the target's support: no law is undefined by that."""
+    f = FromFunction(lambda x: jnp.where(x < 0.7, 1.0, 0.0), breaks=(0.7,))
+    chain = mcmc1d.Multiplexed(f, (techniques.Tent(), Steep()), probes=0)
+    found = mcmc1d.normalisation(jax.random.key(0), chain)
+    assert abs(found.value - 0.7) < 6 * found.standard_error
+    mcmc1d.run(jax.random.key(0), moves.LargeStep(), chain, steps=50, chains=256)
+
+
+class Loud(targets.Sinusoid):
+    """In a unit in which float32 does not hold it."""
+
+    def log_f(self, x):
+        return targets.Sinusoid().log_f(x) + 100
+
+
+def test_a_density_that_only_float32_can_not_hold_is_told_as_that():
+    chain = mcmc1d.Multiplexed(Loud(), techniques.Uniform())
+    for look in (mcmc1d.normalisation, lambda key, chain: mcmc1d.exact_start(key, chain, 64)):
+        with pytest.raises(ValueError, match=r"logarithm reaches \d+\.\d+, and it is infinite in float32"):
             look(jax.random.key(0), chain)
 
 

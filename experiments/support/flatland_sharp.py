@@ -33,7 +33,8 @@ def sharp(
         found = integrate(jax.random.fold_in(key, look), make, of, lengths=lengths, samples=samples)
         result = compare(found, *exact, level / LOOKS)
         error, most = float(result.detectable[-1].max()), work * samples / (found.rays * len(of.segments))
-        if error <= goal or samples >= most or look == LOOKS - 1:
+        # What has no bound, or has had all the work there is, gets no sharper.
+        if error <= goal or not np.isfinite(error) or samples > 0.8 * most or look == LOOKS - 1:
             return found, result, samples
         if look > 0:  # the error of short chains falls more slowly than samples grow
             sharper = np.clip((before[1] / error) ** (np.log(4) / np.log(samples / before[0])), 1.5, 2.0)

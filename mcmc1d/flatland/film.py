@@ -58,10 +58,13 @@ def picture(run: Run, name: str, b: float | Normalisation) -> Picture:
     Known, or as `normalisation` estimates it: then its error is part of the image's.
     """
     value, error = b if isinstance(b, Normalisation) else (b, 0.0)
-    require(isinstance(value, int | float | np.floating), f"picture: b is a number, or a Normalisation, not {b!r}")
+    number = np.ndim(value) == 0 and np.asarray(value).dtype.kind in "iuf"
+    require(number, f"picture: b is a number, or a Normalisation, not {b!r}")
     deposits = run.mean(name)
     pixels = deposits.shape[-1]
-    return Picture(value * pixels * deposits, pixels * np.hypot(value * run.standard_error(name), error * deposits))
+    return Picture(
+        float(value) * pixels * deposits, pixels * np.hypot(float(value) * run.standard_error(name), error * deposits)
+    )
 
 
 def independent(key: Key, target: Multiplexed, samples: int) -> Picture:

@@ -39,20 +39,27 @@ def test_what_stands_free_is_as_long_as_it_is(width):
     assert (met(slit(width), 1 + np.array([-0.6, 0.6]) * width) == [0, 1]).all()
 
 
-def test_nothing_passes_where_walls_touch():
-    """In line, in a corner and in a T, turned by many angles: a ray at the very point meets one of the two."""
-    for turn in np.linspace(0, 2 * np.pi, 97):
-        way = np.array([np.cos(turn), np.sin(turn)])
-        joint = np.array([2.0, 1.1])
-        reach = 0.7 * way if abs(way[0]) < 0.9 else np.array([0.0, 0.7])
-        first, second = Segment(tuple(joint - reach), tuple(joint)), Segment(tuple(joint), tuple(joint + reach[::-1]))
-        behind = Segment((5.0, 0.0), (5.0, 3.0), LAMP)
-        try:
-            scene = Scene("joint", (first, second, behind), EYE)
-        except ValueError:
-            continue  # turned onto each other
-        near = np.nextafter(np.float32(1.1), [0, 2], dtype=np.float32)
-        assert (met(scene, [np.float32(1.1), *near]) < 2).all(), turn
+JOINTS = {
+    "in line": [((-0.7, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.6, 0.0))],
+    "corner": [((-0.7, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.1, 0.6))],
+    "T": [((-0.7, 0.0), (0.6, 0.0)), ((0.0, 0.0), (0.1, 0.6))],
+    "corner of three": [((-0.7, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.1, 0.6)), ((0.0, 0.0), (0.5, -0.4))],
+}
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_nothing_passes_where_walls_touch(name):
+    """At the very point where they do, and a rounding beside it, turned by many angles, rays meet one of them."""
+    met_all = []
+    for angle in np.linspace(0.1, 0.1 + 2 * np.pi, 48, endpoint=False):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        walls = [Segment(*(tuple(turn @ end + [2.0, 1.1]) for end in pair)) for pair in JOINTS[name]]
+        scene = Scene("joint", (*walls, Segment((5.0, 0.0), (5.0, 3.0), LAMP)), EYE)
+        touching = np.isclose(scene.ends, [2.0, 1.1]).all(-1)
+        assert (scene.touching == touching).all()
+        near = np.nextafter(np.float32(1.1), np.array([0, 2], np.float32))
+        met_all.append(met(scene, [np.float32(1.1), *near]) < len(walls))
+    assert np.all(met_all)
 
 
 @pytest.mark.parametrize("sensor", ["pinhole", "wall"])

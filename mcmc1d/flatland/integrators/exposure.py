@@ -23,8 +23,8 @@ from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
 ROWS = ("density", "value", "squares", "area", "contribution")
-_STEPS = 2**9
-"""Between drains of the sums into float64."""
+_STEPS_AT_ONCE = 2**9
+"""So that acceptances, which are added up in float32, stay exact enough."""
 _CANDIDATES = 2**13
 """For exact starts, at once."""
 _PROBES = 2**16
@@ -92,8 +92,8 @@ def expose(
     each = jnp.asarray(np.repeat(values, lanes // len(values), 0).T)
     film = Moments(light.light.paths, lanes, light.shader)
     state, rows, accepted = State(start.index, jnp.asarray(start.u).T), 0.0, 0.0
-    for first in range(0, steps, _STEPS):
-        count = min(_STEPS, steps - first)
+    for first in range(0, steps, _STEPS_AT_ONCE):
+        count = min(_STEPS_AT_ONCE, steps - first)
         state, sums, rate = _exposed(key, kernel, target, film, each, state, jnp.asarray(first), jnp.asarray(count))
         rows, accepted = rows + np.asarray(sums, np.float64), accepted + np.asarray(rate, np.float64)
     dealt = np.moveaxis(np.asarray(rows), -1, 0).reshape(len(values), -1, len(ROWS), values.shape[1])
@@ -132,7 +132,7 @@ def _exposed(
         return step.state, added(film, sums, step), accepted + step.info.acceptance.mean(0)
 
     begun = jax.vmap(lambda v, s: own(v).evaluate(s), in_axes=-1, out_axes=-1)(values, State(state.index, state.u))
-    nothing = empty(film, target, kernel), jnp.zeros_like(values[0])
+    nothing = empty(film, target, kernel, dtype), jnp.zeros_like(values[0])
     last, sums, accepted = jax.lax.fori_loop(0, count, body, (begun, *nothing))
     return State(last.index, last.u), sums, accepted
 
