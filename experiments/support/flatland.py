@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
 from mcmc1d.flatland import Bidirectional, Light, Material, Paths, Pinhole, Scene
-from mcmc1d.flatland.scene import cross
+from mcmc1d.flatland.plane import cross
 from mcmc1d.numerics import cast
 from mcmc1d.types import Array
 

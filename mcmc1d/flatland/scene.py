@@ -3,13 +3,13 @@
 Plain numbers on the host: the tracer and the references, which share no code, both read a scene.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.flatland.plane import crossing, distance, gaps, near
 from mcmc1d.numerics import require
 
 Point = tuple[float, float]
@@ -247,8 +247,8 @@ class Scene:
     def _check_crossings(self) -> None:
         ends, tiny = self.ends, 1e-9 * self.extent
         for a in range(len(ends)):
-            for b in _near(ends, a, tiny):
-                where = _crossing(ends[a], ends[b], tiny)
+            for b in near(ends, a, tiny):
+                where = crossing(ends[a], ends[b], tiny)
                 if where is not None:
                     raise ValueError(
                         f"scene {self.name}: {self.label(a)} and {self.label(b)} cross or overlap at "
@@ -259,25 +259,15 @@ class Scene:
     @property
     def touching(self) -> np.ndarray:
         """Whether each end, (segments, 2), touches another segment."""
-        return np.any(self._gaps() <= 1e-9 * self.extent, axis=-1)
-
-    def _gaps(self) -> np.ndarray:
-        """How far each end is from each other segment, (segments, 2, segments); infinite from its own."""
-        starts, along = self.ends[:, 0], self.ends[:, 1] - self.ends[:, 0]
-        offset = self.ends[:, :, None] - starts
-        t = np.clip((offset * along).sum(-1) / (along**2).sum(-1), 0, 1)
-        gaps = np.hypot(*np.moveaxis(offset - t[..., None] * along, -1, 0))
-        own = np.arange(len(starts))
-        gaps[own, :, own] = np.inf
-        return gaps
+        return np.any(gaps(self.ends) <= 1e-9 * self.extent, axis=-1)
 
     def _check_gaps(self) -> None:
         """A gap that single precision does not see is none: light would leak there, or a lamp lie in a wall."""
         tiny = 1e-9 * self.extent
         seen = _NARROWEST * max(self.extent, float(np.abs(self.ends).max()))
-        gaps = self._gaps()
-        k, end, j = np.unravel_index(np.argmin(np.where(gaps > tiny, gaps, np.inf)), gaps.shape)
-        gap, (x, y) = gaps[k, end, j], self.ends[k, end]
+        apart = gaps(self.ends)
+        k, end, j = np.unravel_index(np.argmin(np.where(apart > tiny, apart, np.inf)), apart.shape)
+        gap, (x, y) = apart[k, end, j], self.ends[k, end]
         require(
             not tiny < gap < seen,
             f"scene {self.name}: {self.label(int(k))} and {self.label(int(j))} are {gap:.2g} apart at ({x:.6g}, "
@@ -319,40 +309,4 @@ def _point(given: Any, who: str) -> Point:
     return tuple(point.astype(np.float64).tolist())
 
 
-def distance(point: np.ndarray, ends: np.ndarray) -> float:
-    """From a point to a segment, given by its two ends."""
-    along = ends[1] - ends[0]
-    t = np.clip((point - ends[0]) @ along / (along @ along), 0, 1)
-    return float(np.hypot(*(point - ends[0] - t * along)))
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The third component of the cross product of vectors in the plane, over the last axis."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def _near(ends: np.ndarray, a: int, tiny: float) -> Sequence[int]:
-    """The segments after `a` whose boxes touch its box, or nearly do."""
-    low, high = ends.min(1), ends.max(1)
-    later = np.arange(a + 1, len(ends))
-    touch = np.all((low[later] <= high[a] + tiny) & (low[a] <= high[later] + tiny), axis=1)
-    return later[touch].tolist()
-
-
-def _crossing(one: np.ndarray, two: np.ndarray, tiny: float) -> np.ndarray | None:
-    """Where two segments cross or begin to overlap; None where they are apart, or touch at an end of either."""
-    d, e, gap = one[1] - one[0], two[1] - two[0], two[0] - one[0]
-    across = float(cross(d, e))
-    if abs(across) <= 1e-12 * np.hypot(*d) * np.hypot(*e):
-        unit = d / np.hypot(*d)
-        if abs(float(cross(unit, gap))) > tiny:
-            return None
-        ahead = np.sort([gap @ unit, (two[1] - one[0]) @ unit])
-        lower, upper = max(0.0, ahead[0]), min(float(np.hypot(*d)), ahead[1])
-        return one[0] + lower * unit if upper - lower > tiny else None
-    s, t = float(cross(gap, e)) / across, float(cross(gap, d)) / across
-    inside = [tiny / np.hypot(*v) < at < 1 - tiny / np.hypot(*v) for at, v in ((s, d), (t, e))]
-    return one[0] + s * d if all(inside) else None
-
-
-__all__ = ["Material", "Pinhole", "Point", "Scene", "Segment", "Wall", "cross", "distance"]
+__all__ = ["Material", "Pinhole", "Point", "Scene", "Segment", "Wall", "require_scene"]

@@ -12,7 +12,8 @@ from experiments.support.flatland import draw_paths, draw_scene
 from mcmc1d.flatland.integrators import integrate
 from mcmc1d.flatland.integrators.base import multiplexed
 from mcmc1d.flatland.paths import Paths
-from mcmc1d.flatland.scene import Material, Pinhole, Scene, Segment, Wall, cross
+from mcmc1d.flatland.plane import cross
+from mcmc1d.flatland.scene import Material, Pinhole, Scene, Segment, Wall
 from mcmc1d.flatland.scenes import block, catalogue, office, polygon, scene
 from mcmc1d.weights import Power
 

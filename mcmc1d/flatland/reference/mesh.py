@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mcmc1d.flatland.plane import distance
 from mcmc1d.flatland.reference.rays import Geometry, Rays, direction, dot, expand, fan, trace
-from mcmc1d.flatland.scene import Scene, Wall, distance
+from mcmc1d.flatland.scene import Scene, Wall
 
 # The most shadow lines that a segment is cut at on account of mirrors.
 _KINKS = 40
