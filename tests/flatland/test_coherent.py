@@ -79,7 +79,7 @@ def test_the_published_deposit_is_biased_as_predicted_and_the_others_are_not():
 
 
 def test_errors_say_what_is_wrong():
-    with pytest.raises(ValueError, match="chains must be 2 at least"):
+    with pytest.raises(ValueError, match="chains, for a standard error, must be a whole number, 2 at least"):
         CoherentMLT(chains=1)
     with pytest.raises(ValueError, match="large is a probability"):
         CoherentMLT(large=2.0)

@@ -80,5 +80,5 @@ def test_a_caustic_is_an_error_or_left_out():
 def test_errors_say_what_is_missing():
     with pytest.raises(ValueError, match="clamp must be positive"):
         InstantRadiosity(clamp=0.0)
-    with pytest.raises(ValueError, match="cameras must be 1 at least"):
+    with pytest.raises(ValueError, match="cameras must be a whole number, 1 at least"):
         InstantRadiosity(cameras=0)

@@ -116,5 +116,5 @@ def test_refusals(changes, message):
 def test_settings_that_are_refused():
     with pytest.raises(ValueError, match="must sum to 1 at most"):
         RJMLT(large=0.8, jump=0.3)
-    with pytest.raises(ValueError, match="chains must be 2 at least"):
+    with pytest.raises(ValueError, match="chains, for a standard error, must be a whole number, 2 at least"):
         MMLT(chains=1)

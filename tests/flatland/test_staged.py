@@ -110,7 +110,7 @@ def test_plans():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"chains": 1}, "chains must be 2 at least"),
+        ({"chains": 1}, "must be a whole number, 2 at least, not 1"),
         ({"test_share": 1.0}, "test_share and test_regions are shares"),
         ({"spent_on_b": 0.0}, "spent_on_b must be positive"),
     ],
