@@ -97,5 +97,5 @@ def test_a_floor_of_its_own_is_blurred_alike():
 def test_errors_say_what_is_wrong():
     with pytest.raises(ValueError, match="radius must be positive"):
         PhotonDensity(radius=0.0)
-    with pytest.raises(ValueError, match="photons and cameras"):
+    with pytest.raises(ValueError, match="photons must be a whole number, 1 at least, not 0"):
         PhotonDensity(photons=0)
