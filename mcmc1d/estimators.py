@@ -22,9 +22,9 @@ class Estimator(eqx.Module):
     """Sums over the steps of many chains.
 
     `update` is handed the steps of all chains of a block at once (the chains are the last axis of each leaf, so that
-    deposits have x of shape (n, ..., chains) and weights of shape (n, chains)) and adds
-    them to the accumulator, a pytree of sums that starts at zero. Its real numbers are float64 whatever the chains
-    are in: a float32 sum would round thousands of deposits alike.
+    deposits have x of shape (n, ..., chains) and weights of shape (n, chains)) and adds them to the accumulator, a
+    pytree of sums that starts at zero. Its real numbers are float64 whatever the chains are in, because a float32 sum
+    would round thousands of deposits alike; so `update` is traced with JAX's x64 on.
     """
 
     reads_deposits: ClassVar[bool] = True
