@@ -1,5 +1,6 @@
 """Where chains start: exact draws from the target, or a given state once it is known to be one; the normalisation b."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -83,32 +84,63 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
         bound > 0 or bool(np.isposinf(probes).any()),
         f"{type(target.target).__name__}: the density is zero at all of {_CANDIDATES} probes; {why}",
     )
-    kept: list[State] = []
-    found, attempt, since = 0, 0, 0
-    while found < count:
-        state, density, uniform = _draw(jax.random.fold_in(key, attempt), target, _CANDIDATES, dtype, index)
-        attempt += 1
+
+    def candidates(batch: int) -> tuple[State, np.ndarray, np.ndarray]:
+        state, density, uniform = _draw(jax.random.fold_in(key, batch), target, _CANDIDATES, dtype, index)
         density = np.asarray(density, np.float64)
         if not np.isfinite(density).all():
             raise ValueError(
                 f"exact_start: {target.complaint(_first(state, ~np.isfinite(density)))}; rejection needs a finite "
                 "density: mend it, or for a pole give a technique that has it, or start="
             )
+        return state, density, np.asarray(uniform)
+
+    one = np.zeros(_CANDIDATES, int)
+    return accepted("exact_start", candidates, one, np.array([bound]), count, "a technique that follows it, or start=")
+
+
+def accepted(
+    who: str,
+    candidates: Callable[[int], tuple[State, np.ndarray, np.ndarray]],
+    owner: Int[np.ndarray, " m"],
+    bound: Float[np.ndarray, " rows"],
+    count: int,
+    fix: str,
+) -> State:
+    """`count` exact draws from each of several densities by rejection, (rows count) states.
+
+    Arguments: `candidates`, of a batch's number, m of them: states, the first axis counting them, the density of each,
+    which is of the row that `owner` names, and a uniform number for each; `bound`, that the rows' densities are thought
+    not to exceed: where a candidate does, it is raised, and the row's are drawn again. `ValueError` with the `fix` to
+    give, where they are too narrow.
+    """
+    rows, bound = len(bound), bound.copy()
+    kept: list[list[State]] = [[] for _ in bound]
+    found, since = np.zeros(rows, int), np.zeros(rows, int)
+    batch = 0
+    while (found < count).any():
+        state, density, uniform = candidates(batch)
+        state = jax.tree.map(np.asarray, state)
+        batch += 1
+        most = np.zeros(rows)
+        np.maximum.at(most, owner, density)
+        for r in np.flatnonzero(most > bound):
+            bound[r], kept[r], found[r], since[r] = 1.25 * most[r], [], 0, batch
+        chosen = (uniform * bound[owner] < density) & (since < batch)[owner] & (found < count)[owner]
+        for r in np.unique(owner[chosen]):
+            mine = np.flatnonzero(chosen & (owner == r))
+            kept[r].append(jax.tree.map(lambda leaf, mine=mine: leaf[mine], state))
+            found[r] += mine.size
         # Long before the last candidate it can be told that they will not do.
-        hopeless = attempt - since >= 64 and found * _MOST_ATTEMPTS < count * (attempt - since)
+        r, tried = int(np.argmin(found)), batch - since
+        hopeless = tried[r] >= 64 and found[r] * _MOST_ATTEMPTS < count * tried[r]
         require(
-            attempt <= _MOST_ATTEMPTS and not hopeless,
-            f"exact_start: {found} of {count} states after {(attempt - since) * _CANDIDATES} candidates, because the "
-            f"density reaches {bound / 1.25:.2g} in a narrow peak or a pole; give a technique that follows it, or "
-            "start=",
+            batch <= _MOST_ATTEMPTS and not hopeless,
+            f"{who}: {found[r]} of {count} states after {tried[r] * np.sum(owner == r)} candidates, because the "
+            f"density reaches {bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}",
         )
-        if density.max() > bound:
-            bound, kept, found, since = 1.25 * float(density.max()), [], 0, attempt
-            continue
-        chosen = np.flatnonzero(np.asarray(uniform) * bound < density)
-        kept.append(jax.tree.map(lambda leaf, chosen=chosen: np.asarray(leaf)[chosen], state))
-        found += chosen.size
-    return jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)[:count]), *kept)
+    each = [jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *row) for row in kept]
+    return jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)), *each)
 
 
 def begin(

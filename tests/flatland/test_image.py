@@ -20,10 +20,35 @@ def test_a_sum_of_layers_adds_up():
     assert np.allclose(both.scaled(0.5).error, both.error / 2)
 
 
-def test_each_layer_of_a_stack_is_held_at_its_share_of_the_level():
-    parts = radius([ONE], 0.5e-3) + radius([TWO], 0.5e-3)
-    assert np.array_equal(radius([Stacked((ONE, TWO))], 1e-3), parts)
-    assert np.all(radius([ONE, TWO], 1e-3) < parts)
+def test_a_stack_strays_as_the_root_of_its_layers():
+    """Sixteen layers that may depend on each other stray as if they did not, but for what their dependence costs."""
+    for layer, cost in ((ONE._replace(deposits=Sums(10**6, np.array([2e5]), np.array([6e4]), 1.0)), 1.5), (TWO, 2.5)):
+        apart, stacked = radius([layer] * 16, 1e-4), radius([Stacked((layer,) * 16)], 1e-4)
+        assert np.all(apart < stacked)
+        assert np.all(stacked < cost * apart)
+        assert np.all(stacked < 16 / 3 * radius([layer], 1e-4))
+
+
+def test_the_radius_of_a_stack_has_no_unit():
+    for unit in (1e-9, 1e9):
+        scaled = radius([Stacked((ONE, TWO)).scaled(unit)], 1e-4) / unit
+        assert np.allclose(scaled, radius([Stacked((ONE, TWO))], 1e-4), rtol=0.02)
+
+
+def test_the_radius_holds_where_the_past_chooses_the_next_layer():
+    """1500 stacks of eight, in which a layer weighs more as long as those before it have erred one way."""
+    rng, chance = np.random.default_rng(7), 0.05
+    off, around = np.zeros(1500), np.zeros(1500)
+    for k in range(1500):
+        layers = []
+        for _ in range(8):
+            weight = 1.0 if off[k] > 0 else 4.0
+            lit = rng.binomial(400, [chance]).astype(float)
+            layers.append(Layer(2, weight, Sums(400, lit, lit, 1.0), None, 0.0))
+            off[k] += weight * (lit[0] / 400 - chance)
+        around[k] = radius([Stacked(tuple(layers))], 0.1)[0]
+    assert np.mean(np.abs(off) > around) <= 0.1
+    assert np.mean(np.abs(off) > around / 10) > 0.2
 
 
 @pytest.mark.parametrize("normalised", [False, True])

@@ -62,34 +62,26 @@ def bernstein_radius(sums: Sums, level: float) -> np.ndarray:
 def radius(layers: Sequence[Layer | Stacked], level: float) -> np.ndarray:
     """How far the sum of these layers strays from the exact one at most, in each pixel, but with probability `level`.
 
-    Layers are independent, and so are a layer's deposits and its normaliser: Bernstein's inequality holds for all of
-    them together. The layers of a stack depend on those before them: each has a share of the level of its own.
-    """
-    alone = [layer for layer in layers if isinstance(layer, Layer)]
-    parts = [part for layer in layers if isinstance(layer, Stacked) for part in layer.layers]
-    groups = ([alone] if alone else []) + [[part] for part in parts]
-    return np.sum([_radius(group, level / len(groups)) for group in groups], axis=0)
-
-
-def _radius(layers: Sequence[Layer], level: float) -> np.ndarray:
-    """Of independent layers: Bernstein's inequality, at half the level, for what errs in the first order.
-
-    b' d' - b d = b (d' - d) + d (b' - b) + (b' - b) (d' - d), with d the mean deposit and b what normalises it. The
-    standard deviations and the b and d of the first two terms are replaced by upper bounds, and the last is bounded,
+    b' d' - b d = b (d' - d) + d (b' - b) + (b' - b) (d' - d), with d a layer's mean deposit and b what normalises it.
+    The first two are of independent numbers, summed over all layers: at half the level, for those alone, by Bernstein's
+    inequality. The standard deviations and the b and d in them are replaced by upper bounds, and the third is bounded,
     at the other half: `bernstein_radius`; Maurer and Pontil 2009, theorem 10, for a standard deviation.
+
+    The layers of a stack depend on those before them: then the sum is a martingale, see `_martingale_radius`.
     """
-    events = sum(1 if layer.normaliser is None else 4 for layer in layers)
-    log, small = np.log(4 / level), level / (2 * events)
-    variance, largest, beyond = np.zeros(()), np.zeros(()), np.zeros(())
+    stacked = any(isinstance(layer, Stacked) for layer in layers)
+    parts = [part for layer in layers for part in (layer.layers if isinstance(layer, Stacked) else (layer,))]
+    events = sum(1 if part.normaliser is None else 4 for part in parts)
+    small = level / (2 * events)
+    variances, ranges, beyond = [], [], np.zeros(())
 
     def add(sums: Sums, factor: np.ndarray) -> None:
-        nonlocal variance, largest
         deviation = np.sqrt(sums.variance) + sums.bound * np.sqrt(2 * np.log(1 / small) / (sums.size - 1))
-        variance = variance + (factor * deviation) ** 2 / sums.size
-        largest = np.maximum(largest, factor * sums.bound / sums.size)
+        variances.append((factor * deviation) ** 2 / sums.size)
+        ranges.append(factor * sums.bound / sums.size)
 
-    for layer in layers:
-        d, b, scale = layer.deposits, layer.normaliser, np.asarray(layer.scale)
+    for part in parts:
+        d, b, scale = part.deposits, part.normaliser, np.broadcast_to(part.scale, part.deposits.total.shape)
         if b is None:
             add(d, scale)
             continue
@@ -97,8 +89,29 @@ def _radius(layers: Sequence[Layer], level: float) -> np.ndarray:
         add(d, scale * (b.mean + of_b))
         add(b, scale * (d.mean + of_d))
         beyond = beyond + scale * of_d * of_b
-    tail = largest * log / 3
+    if stacked:
+        return _martingale_radius(np.array(variances), np.array(ranges), level) + beyond
+    log, variance = np.log(4 / level), np.sum(variances, axis=0)
+    tail = np.max(ranges, axis=0) * log / 3
     return tail + np.sqrt(tail**2 + 2 * variance * log) + beyond
+
+
+_RATES = 2.0 ** np.arange(-64, 64, 0.25)
+"""One over any radius that an image can have."""
+
+
+def _martingale_radius(variances: np.ndarray, ranges: np.ndarray, level: float) -> np.ndarray:
+    """Of sums whose variances and ranges, (sums, pixels), are known only once the sums before them are.
+
+    Freedman 1975, "On tail probabilities for martingales", in the form that holds whatever variances the past brings
+    about: for each rate r chosen beforehand, exp(r sum - r^2 / 2 total of variance / (1 - r range / 3)) has a mean of 1
+    at most. The best of the rates is taken, and paid for by their number.
+    """
+    log = np.log(4 * len(_RATES) / level)
+    rates = _RATES[:, None, None]
+    left = 1 - rates * ranges / 3
+    total = np.sum(np.divide(variances, left, out=np.full_like(left, np.inf), where=left > 0), axis=1)
+    return (_RATES[:, None] / 2 * total + log / _RATES[:, None]).min(0)
 
 
 def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, level: float = 1e-5) -> Comparison:

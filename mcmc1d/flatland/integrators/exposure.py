@@ -18,7 +18,7 @@ from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
-from mcmc1d.starts import uniform_states
+from mcmc1d.starts import accepted, uniform_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
@@ -28,7 +28,6 @@ _STEPS_AT_ONCE = 2**9
 _CANDIDATES = 2**13
 """For exact starts, at once."""
 _PROBES = 2**16
-_PATIENCE = 10_000
 
 
 class Moments(Estimator):
@@ -149,37 +148,20 @@ def highest_seen(key: Key, target: Multiplexed) -> Float[np.ndarray, " n"]:
 def exact_starts(
     key: Key, target: Multiplexed, values: Float[np.ndarray, "r n"], chains: int, highest: Float[np.ndarray, " n"]
 ) -> State:
-    """`chains` exact states for each row of `values`, (rows chains): by rejection, as `chain.exact_start`.
+    """`chains` exact states for each row of `values`, (rows chains), by rejection: see `starts.accepted`.
 
-    Under 1.25 times what `highest` of `highest_seen` allows; a candidate over it raises the bound of its row, whose
-    starts are then drawn again. Each row has candidates of its own, so that replicas stay independent. `ValueError`
-    where rejection is hopeless.
+    The first bound is 1.25 times what `highest` of `highest_seen` allows. Each row has candidates of its own, so that
+    replicas stay independent. `ValueError` where rejection is hopeless.
     """
+    owner = np.arange(_CANDIDATES) % len(values)
     bound = 1.25 * (values * highest).max(1)
-    rows = len(values)
-    owner = np.arange(_CANDIDATES) % rows
-    kept: list[list[Any]] = [[] for _ in range(rows)]
-    found, attempt = np.zeros(rows, int), 0
-    while (found < chains).any():
-        require(
-            attempt < _PATIENCE and bound.min() > 0,
-            f"exact_starts: {found.min()} of {chains} starts after {attempt} batches of candidates: the density has a "
-            "narrow peak, or there is no light; give techniques that follow it",
-        )
-        state, density, pixel, uniform = _candidates(key, target, attempt)
-        attempt += 1
-        density = density * values[owner, pixel]
-        most = np.zeros(rows)
-        np.maximum.at(most, owner, density)
-        for r in np.flatnonzero(most > bound):
-            bound[r], kept[r], found[r] = 1.25 * most[r], [], 0
-            density = np.where(owner == r, 0, density)
-        chosen = np.flatnonzero((uniform * bound[owner] < density) & (found[owner] < chains))
-        for k in chosen:
-            kept[owner[k]].append((np.asarray(state.index)[k], state.u[:, k]))
-        found = np.array([len(row) for row in kept])
-    index = np.array([one[0] for row in kept for one in row[:chains]])
-    return State(jnp.asarray(index), jnp.asarray(np.stack([one[1] for row in kept for one in row[:chains]])))
+    require(bool(bound.min() > 0), f"exact_starts: no light in {_PROBES} probes; give techniques that find it")
+
+    def candidates(batch: int) -> tuple[State, np.ndarray, np.ndarray]:
+        state, density, pixel, uniform = _candidates(key, target, batch)
+        return State(state.index, state.u.T), density * values[owner, pixel], uniform
+
+    return accepted("exact_starts", candidates, owner, bound, chains, "techniques that follow it")
 
 
 def _light(target: Multiplexed) -> OverPixels:
