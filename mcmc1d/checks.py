@@ -44,6 +44,14 @@ def require_key(key: Any, who: str) -> None:
     require(one, f"{who}: the key must be one of JAX, such as jax.random.key({seed})")
 
 
+def require_mass(mass: Any, who: str, name: str) -> float:
+    """`mass`, of a whole density, or `ValueError` where the density's scale is beyond what floats hold."""
+    mend = {0.0: "add a constant to log f", np.inf: "subtract a constant from log f"}.get(float(mass))
+    require(mend is not None or mass > 0, f"{who}: the mass of {name} is {mass}")
+    require(mend is None, f"{who}: the mass of {name} is {float(mass):g}: {mend}, no law depends on it")
+    return float(mass)
+
+
 UNTRACEABLE = (
     jax.errors.TracerArrayConversionError,
     jax.errors.TracerBoolConversionError,

@@ -231,7 +231,7 @@ def lost_mass(f: Target, importance: Target, cuts: Sequence[Sequence[float]] = (
         ends = np.array([float(end) for end in f.domain])
         parts = [integrate(DensityOf(part), ends, lost.breaks)[0][0] for part in (f, lost)]
         return float(parts[1]), float(parts[0])
-    edges = [np.array([0.0, 1.0])] * len(np.asarray(f.domain[0]))
+    edges = list(np.stack([np.asarray(end, np.float64) for end in f.domain], 1))
     return float(masses(lost, edges, cuts).sum()), float(masses(f, edges, cuts).sum())
 
 

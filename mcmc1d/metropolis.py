@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance
 from mcmc1d.moves import Move, Proposal
-from mcmc1d.numerics import in_unit_cube, require, select
+from mcmc1d.numerics import require, select
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Scalar
 
@@ -212,9 +212,7 @@ def acceptance(state: State, proposal: Proposal) -> Scalar:
     not a number; a dark state accepts any lit one.
     """
     log_ratio = proposal.state.seen.log_c - state.seen.log_c + proposal.log_det
-    index = proposal.state.index
-    possible = (index >= 0) & (index < len(proposal.state.seen.log_p))
-    possible &= in_unit_cube(proposal.state.u) & in_unit_cube(proposal.w) & ~jnp.isnan(log_ratio)
+    possible = proposal.inside & ~jnp.isnan(log_ratio)
     return jnp.exp(jnp.where(possible, jnp.minimum(log_ratio, 0), -jnp.inf))
 
 

@@ -12,7 +12,7 @@ from mcmc1d.metropolis import Deposits, Info, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, MultipleTry, Proposal, SmallStep
 from mcmc1d.moves.candidates import insert
 from mcmc1d.moves.multiple_try import around, possible, row
-from mcmc1d.numerics import choose, ends_of, in_unit_cube, require
+from mcmc1d.numerics import choose, ends_of, require
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 
@@ -93,7 +93,7 @@ class AuxiliaryCentre(Kernel):
         p, r = self.tries, self.step_by.dim_w(target)
         numbers = w[:-1].reshape(p + 1, r)
         centre: Proposal = row(around(self.step_by, target, state, numbers[:1]), 0)
-        reached = in_unit_cube(centre.state.u) & in_unit_cube(centre.w) & jnp.isfinite(centre.log_det)
+        reached = centre.inside & jnp.isfinite(centre.log_det)
         family = around(self.step_by, target, centre.state, numbers[1:])
         log_weights = jnp.where(
             jax.vmap(possible)(family) & reached, family.state.seen.log_c + family.log_det, -jnp.inf

@@ -15,6 +15,8 @@ from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Key
 
 _MOST_ATTEMPTS = 10_000
+_LARGEST_LOG = 300.0  # of a density, whose square float64 must hold
+_DARK = "nothing to start from, or log f is so low that f is 0 in float64: add a constant to it"
 _CANDIDATES = 2**16  # for exact starts, at once: one size, so that one program serves every count
 
 # The counter of the numbers that are no step's: whatever key a user starts and runs with, none is used twice.
@@ -41,12 +43,16 @@ def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normal
     total = square = 0.0
     batches = -(-samples // batch)
     for k in range(batches):
-        state, density, _ = _draw(jax.random.fold_in(key, k), target, batch, jnp.zeros(()).dtype)
-        c = np.asarray(density, np.float64)
-        if not np.isfinite(c).all():
-            raise ValueError(f"normalisation: {target.complaint(_first(state, ~np.isfinite(c)))}")
+        state = _draw(jax.random.fold_in(key, k), target, batch, jnp.zeros(()).dtype)[0]
+        # In float64, whatever a chain has: f may have any scale.
+        log_c = np.asarray(state.seen.log_c, np.float64)
+        bad = np.isposinf(log_c) | (log_c > _LARGEST_LOG)
+        if bad.any():
+            raise ValueError(f"normalisation: {target.complaint(_first(state, bad))}")
+        c = np.exp(log_c)
         total, square = total + c.sum(), square + (c * c).sum()
     n = batches * batch
+    require(total > 0, f"normalisation: {type(target.target).__name__}: no density in {n} samples: {_DARK}")
     mean = total / n
     deviation = np.sqrt(max(square / n - mean * mean, 0) / (n - 1))
     return Normalisation(target.n_techniques * mean, target.n_techniques * float(deviation))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_cover, require_instance, require_planar_cover, rising, traced
+from mcmc1d.checks import require_cover, require_instance, require_mass, require_planar_cover, rising, traced
 from mcmc1d.compiling import quickly
 from mcmc1d.numerics import cast, is_concrete, require
 from mcmc1d.quadrature import Outline, integrate, integrate_plane
@@ -168,11 +168,12 @@ class Multiplexed(eqx.Module):
         `p`: the densities themselves, where they are at hand.
 
         Where the target, a technique's density, a weight or the point itself is NaN it is +inf: no law is defined, and
-        to reject silently would make one up. A chain that
-        comes there stays, so that whoever looks at its state when it is done finds it; the runner does.
+        to reject silently would make one up. A chain that comes there stays, so that whoever looks at its state when it
+        is done finds it; the runner does.
         """
         log_ratio = self.weights.log_ratio(x, log_p, index, p)
-        dark = jnp.isneginf(log_f)  # whatever the weights are
+        # Whatever the weights are; or whatever the target is, at a pole that the technique has as well.
+        dark = jnp.isneginf(log_f) | (jnp.isneginf(log_ratio) & ~jnp.isnan(log_f))
         undefined = jnp.isnan(log_f) | jnp.isnan(x).any() | (jnp.isnan(log_ratio) & ~dark)
         return jnp.where(undefined, jnp.inf, jnp.where(dark, -jnp.inf, log_ratio + log_f))
 
@@ -210,13 +211,13 @@ class Multiplexed(eqx.Module):
             edges = rising(edges, who)
             require_cover(who, edges, domain, name)
             masses = integrate(Shares(self), edges, self.breaks)[0].T
-            return masses / masses.sum()
+            return masses / require_mass(masses.sum(), who, name)
         x_edges, y_edges = (rising(part, who) for part in pair_of_edges(edges, who))
         require_planar_cover(who, x_edges, y_edges, domain, name)
         known = [self.target.outline, Outline.box(*domain)]
         known += [outline for technique in self.techniques for outline in outlines(technique)]
         masses = np.moveaxis(integrate_plane(Shares(self), x_edges, y_edges, known)[0], -1, 0)
-        return masses / masses.sum()
+        return masses / require_mass(masses.sum(), who, name)
 
 
 class Shares(eqx.Module):
@@ -261,6 +262,7 @@ def _probe(target: Multiplexed, probes: int) -> None:
             raise ValueError(target.target.complaint(points[np.argmax(np.isnan(log_f))]))
     first(np.isposinf(log_f), f"{name} is infinite at x = {{x}}: a pole must not lie on a probe; move it a little")
     require(bool(np.any(np.isfinite(log_f))), f"{name} is zero everywhere on its domain: there is nothing to sample")
+    _probe_outside(target)
     lit = np.isfinite(log_f)
     for i, technique in enumerate(target.techniques):
         who = f"technique {i} ({type(technique).__name__})"
@@ -282,3 +284,35 @@ def _probe(target: Multiplexed, probes: int) -> None:
     if wrong.any():
         k = int(np.argmax(wrong))
         raise ValueError(f"the weights sum to {total[k]:.9g}, not to one, at x = {points[k]}")
+
+
+def _probe_outside(target: Multiplexed) -> None:
+    """Raise `ValueError` where f is not zero outside its domain, at places that a technique reaches."""
+    lower, upper = (np.asarray(end, np.float64) for end in target.target.domain)
+    width = upper - lower
+    supports = [technique.support for technique in target.techniques]
+    least = np.maximum(np.min([np.asarray(s[0], np.float64) + 0 * lower for s in supports], 0), lower - width)
+    most = np.minimum(np.max([np.asarray(s[1], np.float64) + 0 * lower for s in supports], 0), upper + width)
+    points = []
+    for beyond, end in ((least, lower), (most, upper)):
+        for k in np.flatnonzero(np.ravel(beyond != end)):
+            for share in (1e-3, 0.1, 0.5, 1.0):
+                inside = (lower + width * np.linspace(0.1, 0.9, 8)[:, None]).reshape(8, *lower.shape)
+                inside.reshape(8, -1)[:, k] = (end + share * (beyond - end)).ravel()[k]
+                points.append(inside)
+    if not points:
+        return
+    outside = np.concatenate(points)
+    with jax.enable_x64(True):
+        log_f = np.asarray(_log_f(cast(target.target, jnp.float64), jnp.asarray(outside)))
+    lit = log_f > -np.inf
+    require(
+        not lit.any(),
+        f"{type(target.target).__name__} is positive at x = {outside[np.argmax(lit)]}, outside its domain {lower} to "
+        f"{upper}, and a technique reaches that: let log_f be -inf there, or widen the domain",
+    )
+
+
+@quickly
+def _log_f(target: Target, points: Float[Array, "n ..."]) -> Float[Array, " n"]:
+    return jax.vmap(target.log_f)(points)

@@ -11,7 +11,7 @@ from mcmc1d.importance import Floor, Product, Regions, Shader, lost_mass
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
 from mcmc1d.pixels import Pixels, masses, pixel_values, resample
-from mcmc1d.targets import Checkerboard, FromFunction, Sinusoid, Tabulated, Target, Tempered
+from mcmc1d.targets import Banana, Checkerboard, FromFunction, Sinusoid, Tabulated, Target, Tempered
 from mcmc1d.techniques import Rectangle, Uniform
 from mcmc1d.verify import RingStep, enumerate_kernel, ring
 
@@ -84,6 +84,15 @@ def test_the_mass_that_is_lost_is_exact():
     lost, whole = lost_mass(Plane(), blind, [[0.25, 0.5], [0.5]])
     assert lost == pytest.approx((0.25 - 0.0625) / 2 * (1 - 0.25) / 2, abs=1e-11)
     assert whole == pytest.approx(15 / 64, abs=1e-11)
+
+
+def test_the_mass_that_is_lost_is_that_of_the_whole_domain():
+    """It was that of the unit square."""
+    banana = Banana()
+    edges = [np.array([low, high]) for low, high in zip(*banana.domain, strict=True)]
+    lost, whole = lost_mass(banana, Floor(banana, 0.1))
+    assert lost == 0
+    assert whole == pytest.approx(float(banana.bin_masses(tuple(edges)).sum()), abs=1e-8)
 
 
 @pytest.mark.parametrize(

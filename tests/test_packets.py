@@ -1,14 +1,27 @@
 """Multiple-try and packets of candidates, exactly: every outcome enumerated on a ring, deposits included."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mcmc1d
+from mcmc1d.estimators import Histogram
 from mcmc1d.metropolis import Metropolis
-from mcmc1d.moves import Antithetic, Independent, MultipleTry, Rotated, SmallStep, StepAndChange, Stratified
+from mcmc1d.moves import (
+    Antithetic,
+    Independent,
+    Move,
+    MultipleTry,
+    Proposal,
+    Rotated,
+    SmallStep,
+    StepAndChange,
+    Stratified,
+)
 from mcmc1d.moves.multiple_try import SymmetricLambda, by_importance, by_target, evenly
 from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
+from mcmc1d.state import State
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Tent, Uniform
 from mcmc1d.verify import RingStep, deposit_law, enumerate_kernel, ring, verify
@@ -146,3 +159,24 @@ def test_a_net_finds_the_bias_that_enumeration_finds():
     net = deposit_law(kernel, TARGET, np.linspace(0, 1, 6), points=2**14)
     assert np.all(np.abs(net.masses - exact.law @ exact.deposits) < 6 * net.standard_error + 1e-6)
     assert np.abs(net.masses - exact.law).max() > 50 * net.standard_error.max()
+
+
+class Ladder(Move):
+    """To the technique above or below, at the same u; rejected off the ends."""
+
+    def dim_w(self, target):
+        return 1
+
+    def propose(self, target, state, w):
+        up = w[0] < 0.5
+        return Proposal(State(state.index + jnp.where(up, 1, -1), state.u), (w + 0.5) % 1, jnp.zeros((), w.dtype))
+
+
+@pytest.mark.parametrize("kernel", [AuxiliaryCentre(Ladder(), 3), PublishedDeposit(MultipleTry(Ladder(), 2))])
+def test_candidates_of_no_technique_get_nothing(kernel):
+    target = mcmc1d.Multiplexed(Sinusoid(), (Uniform(), Tent(), Tent()))
+    ran = mcmc1d.run(
+        jax.random.key(0), kernel, target, steps=50, chains=64, estimators={"film": Histogram(4, joint=True)}
+    )
+    assert set(np.asarray(ran.state.index)) <= {0, 1, 2}
+    assert np.isclose(ran.mean("film").sum(), 1)

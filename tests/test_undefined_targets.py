@@ -12,7 +12,8 @@ from mcmc1d.moves.multiple_try import evenly
 from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
 from mcmc1d.subchain import SplitSample, SubChain
 from mcmc1d.targets import FromFunction
-from mcmc1d.techniques import Inversion
+from mcmc1d.techniques import Inversion, Technique
+from mcmc1d.verify import deposit_law, transition_operator
 from mcmc1d.weights import Maximum, Power
 
 NARROW = 0.300123  # no probe lies within 1e-4 of it: they are 4.9e-4 apart
@@ -96,9 +97,79 @@ class Loud(targets.Sinusoid):
 
 def test_a_density_that_only_float32_can_not_hold_is_told_as_that():
     chain = mcmc1d.Multiplexed(Loud(), techniques.Uniform())
-    for look in (mcmc1d.normalisation, lambda key, chain: mcmc1d.exact_start(key, chain, 64)):
-        with pytest.raises(ValueError, match=r"logarithm reaches \d+\.\d+, and it is infinite in float32"):
-            look(jax.random.key(0), chain)
+    with pytest.raises(ValueError, match=r"logarithm reaches \d+\.\d+, and it is infinite in float32"):
+        mcmc1d.exact_start(jax.random.key(0), chain, 64)
+    b = mcmc1d.normalisation(jax.random.key(0), chain, 2**14)  # whose sums are in float64
+    assert abs(b.value / np.exp(100) - 1) < 6 * b.standard_error / np.exp(100)
+
+
+class Scaled(targets.Sinusoid):
+    """Times e^log_scale."""
+
+    log_scale: float = 0.0
+
+    def log_f(self, x):
+        return targets.Sinusoid().log_f(x) + self.log_scale
+
+    def bin_masses(self, edges):
+        return self.quadrature(edges)
+
+
+def test_a_scale_that_floats_do_not_hold_is_told_as_that():
+    """It was NaN or zero, with a warning at most."""
+    low, lower = (
+        mcmc1d.Multiplexed(Scaled(log_scale=scale), techniques.Uniform(), probes=0) for scale in (-120.0, -2000.0)
+    )
+    b = mcmc1d.normalisation(jax.random.key(0), low, 2**14)
+    assert abs(b.value / np.exp(-120) - 1) < 6 * b.standard_error / np.exp(-120)
+    edges = np.linspace(0, 1, 4)
+    for look in (
+        lambda: mcmc1d.normalisation(jax.random.key(0), lower, 2**14),
+        lambda: lower.joint_masses(edges),
+        lambda: deposit_law(moves.SmallStep(), low, edges, points=1024),
+        lambda: transition_operator(moves.SmallStep(), low, points=2**12),
+    ):
+        with pytest.raises(ValueError, match="add a constant to"):
+            look()
+
+
+class Pole(Technique):
+    """x = u^2, of density x^(-1/2) / 2, which is infinite at 0."""
+
+    dim_u = 1
+
+    def forward(self, u):
+        return u[0] ** 2, u[1:], jnp.log(2 * u[0])
+
+    def inverse(self, x, v):
+        return jnp.concatenate([jnp.sqrt(x)[None], v]), -jnp.log(2 * jnp.sqrt(x))
+
+    def log_prob(self, x):
+        return jnp.where((x >= 0) & (x <= 1), -jnp.log(2 * jnp.sqrt(x)), -jnp.inf)
+
+
+def test_at_a_pole_that_the_technique_has_too_there_is_no_mass():
+    """It was NaN at u = 0, which float32 draws once in 2^23: exact starts and b failed at random."""
+    chain = mcmc1d.Multiplexed(FromFunction(lambda x: x**-0.5), Pole(), probes=0)
+    at = chain.evaluate(mcmc1d.State(jnp.zeros((), jnp.int32), jnp.zeros(1)))
+    assert np.isneginf(at.seen.log_c)
+    beside = chain.evaluate(mcmc1d.State(jnp.zeros((), jnp.int32), jnp.full(1, 1e-6)))
+    assert np.isclose(beside.seen.log_c, np.log(2))
+
+
+class Everywhere(targets.Sinusoid):
+    """It forgets to be zero outside its domain."""
+
+    def log_f(self, x):
+        return -0.5 * ((x - 0.9) / 0.2) ** 2
+
+
+def test_a_target_that_goes_on_outside_its_domain_is_refused():
+    """Samples there counted in the end bins."""
+    wide = techniques.PiecewiseConstant([-1, 0, 1, 2], [1, 2, 1])
+    with pytest.raises(ValueError, match=r"positive at x = .*, outside its domain 0.0 to 1.0"):
+        mcmc1d.Multiplexed(Everywhere(), wide)
+    mcmc1d.Multiplexed(Everywhere(), techniques.Uniform())  # which does not reach it
 
 
 @pytest.mark.parametrize(

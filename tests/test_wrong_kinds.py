@@ -20,6 +20,7 @@ CALLS = {
     "moves.Mixture({'a': (1, moves.SmallStep)})": "Mixture: move 'a': give an instance, SmallStep(...)",
     "techniques.Mixture((techniques.Tent,), (1,))": "Mixture: a lobe: give an instance, Tent(...)",
     "moves.StepAndChange(moves.LargeStep)": "StepAndChange: the step: give an instance, LargeStep(...)",
+    "targets.FromFunction(abs, (0, 0), (1, 1))": "it is of one coordinate, between two numbers",
     "exact_start(key, targets.Sinusoid(), 10)": "wrap it: Multiplexed(target, techniques)",
     "normalisation(key, targets.Sinusoid())": "wrap it: Multiplexed(target, techniques)",
     "flatland.Material(exponent='20')": "Material: exponent must be a whole number",

@@ -180,7 +180,7 @@ class Walls(eqx.Module):
         The length of `direction` does not matter. A segment is met a few roundings beyond an end that touches another:
         they let nothing through. What stands free is as long as it is.
         """
-        tolerance = 16 * jnp.finfo(self.dtype).eps * (self.length[-1] + self.length[-2])
+        tolerance = 2 * jnp.finfo(self.dtype).eps * (self.length[-1] + self.length[-2])
         lower = -tolerance * jnp.asarray(self.overhang[:, 0])
         upper = self.length + tolerance * jnp.asarray(self.overhang[:, 1])
 

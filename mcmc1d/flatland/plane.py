@@ -29,9 +29,11 @@ def crossing(one: np.ndarray, two: np.ndarray, tiny: float) -> np.ndarray | None
     """Where two segments cross or begin to overlap; None where they are apart, or touch at an end of either."""
     d, e, gap = one[1] - one[0], two[1] - two[0], two[0] - one[0]
     across = float(cross(d, e))
-    if abs(across) <= 1e-12 * np.hypot(*d) * np.hypot(*e):
+    longer, other = (d, [gap, two[1] - one[0]]) if np.hypot(*d) >= np.hypot(*e) else (e, [-gap, one[1] - two[0]])
+    off = [abs(float(cross(longer / np.hypot(*longer), end))) for end in other]
+    if max(off) <= tiny or abs(across) <= 1e-12 * np.hypot(*d) * np.hypot(*e):
         unit = d / np.hypot(*d)
-        if abs(float(cross(unit, gap))) > tiny:
+        if min(off) > tiny:
             return None
         ahead = np.sort([gap @ unit, (two[1] - one[0]) @ unit])
         lower, upper = max(0.0, ahead[0]), min(float(np.hypot(*d)), ahead[1])

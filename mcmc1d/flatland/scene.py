@@ -76,6 +76,7 @@ class Segment:
         for end in ("start", "end"):
             object.__setattr__(self, end, _point(getattr(self, end), f"Segment: {end}"))
         require_instance(self.material, Material, "Segment: the material")
+        require_instance(self.name, str, "Segment: the name")
 
     @property
     def length(self) -> float:
@@ -148,6 +149,7 @@ class Scene:
     sensor: Pinhole | Wall
 
     def __post_init__(self):
+        require_instance(self.name, str, "Scene: the name")
         require(np.iterable(self.segments), f"scene {self.name}: segments are several, not {self.segments!r}")
         object.__setattr__(self, "segments", tuple(self.segments))
         require(len(self.segments) > 0, f"scene {self.name}: there is no segment")
@@ -162,13 +164,13 @@ class Scene:
                 f"scene {self.name}: {self.label(k)} has an end that is not finite: it runs from {segment.start} to "
                 f"{segment.end}",
             )
+        extent, far = self.extent, float(np.abs(self.ends).max())
         for k, segment in enumerate(self.segments):
             require(
-                segment.length > 1e-4 * self.extent,
+                segment.length > 1e-4 * extent,
                 f"scene {self.name}: {self.label(k)} has no length: it runs from {segment.start} to "
                 f"{segment.end}; a segment under 1e-4 of the scene's extent is lost in single precision",
             )
-        extent, far = self.extent, float(np.abs(self.ends).max())
         require(
             1e-6 <= extent <= 1e6 and far <= 100 * extent,
             f"scene {self.name}: it is {extent:.3g} across and reaches {far:.3g} from the origin; for single precision "
@@ -304,7 +306,7 @@ def require_scene(scene: Any, who: str) -> None:
 def _point(given: Any, who: str) -> Point:
     """The point as two floats, or `ValueError` unless it is one."""
     point = np.asarray(given)
-    numbers = point.shape == (2,) and np.issubdtype(point.dtype, np.number)
+    numbers = point.shape == (2,) and point.dtype.kind in "iuf"
     require(numbers, f"{who} is a point, two numbers, not {given!r}")
     return tuple(point.astype(np.float64).tolist())
 

@@ -5,9 +5,9 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
-from mcmc1d.numerics import wrap
+from mcmc1d.numerics import in_unit_cube, wrap
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Float, Index, Scalar
+from mcmc1d.types import Array, Bool, Float, Index, Scalar
 
 
 class Proposal(eqx.Module):
@@ -21,6 +21,16 @@ class Proposal(eqx.Module):
     log_det: Scalar
     kind: Index = 0
     """Which move of a mixture this was; acceptance rates are kept by it."""
+
+    @property
+    def inside(self) -> Bool[Array, ""]:
+        """Whether s' and w' are any state and numbers at all: in the unit cube, and of one of the techniques.
+
+        Of a proposal whose state has been evaluated.
+        """
+        index = self.state.index
+        known = (index >= 0) & (index < len(self.state.seen.log_p))
+        return known & in_unit_cube(self.state.u) & in_unit_cube(self.w)
 
 
 class Move(eqx.Module):

@@ -14,7 +14,7 @@ from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.candidates import Antithetic, Candidates, Independent, Rotated, Stratified
 from mcmc1d.moves.primary import ExponentialStep, SmallStep
-from mcmc1d.numerics import choose, ends_of, in_unit_cube, require, select, unchoose
+from mcmc1d.numerics import choose, ends_of, require, select, unchoose
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 
@@ -155,9 +155,8 @@ def around(step: Move, target: Multiplexed, state: State, numbers: Float[Array, 
 
 
 def possible(proposal: Proposal) -> Array:
-    """Whether a proposal lies in the unit cube, and in the support."""
-    inside = in_unit_cube(proposal.state.u) & in_unit_cube(proposal.w)
-    return inside & (proposal.state.seen.log_c > -jnp.inf) & ~jnp.isnan(proposal.log_det)
+    """Whether an evaluated proposal is a state, and in the support."""
+    return proposal.inside & (proposal.state.seen.log_c > -jnp.inf) & ~jnp.isnan(proposal.log_det)
 
 
 def _undefined(like: State, *families: State) -> tuple[Bool[Array, ""], State]:

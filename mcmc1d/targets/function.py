@@ -29,6 +29,11 @@ class FromFunction(Target):
     ):
         """`f`: from x to a number that is not negative; `breaks`: where it jumps or bends inside [lower, upper]."""
         require(
+            np.ndim(lower) == np.ndim(upper) == 0,
+            f"FromFunction: it is of one coordinate, between two numbers, not {lower} and {upper}; of several, make a "
+            "class of Target with domain, log_f and bin_masses",
+        )
+        require(
             bool(np.isfinite(lower) and np.isfinite(upper) and lower < upper),
             f"FromFunction: lower must be under upper, both finite, not {lower} and {upper}",
         )

@@ -1,5 +1,7 @@
 """A mixture of normal densities cut off by the walls of the unit interval."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -34,7 +36,7 @@ class GaussianMixture(Target):
             require(bool(np.all(np.isfinite(self.means))), f"GaussianMixture: the means must be finite: {self.means}")
 
     def log_f(self, x: Scalar) -> Scalar:
-        log_scales = jnp.log(self.weights / (self.sigmas * np.sqrt(2 * np.pi)))
+        log_scales = jnp.log(self.weights / (self.sigmas * math.sqrt(2 * math.pi)))
         terms = []
         for k in range(self.means.shape[0]):  # one by one: over many chains, a short axis of terms does not vectorise
             z = (x - self.means[k]) / self.sigmas[k]

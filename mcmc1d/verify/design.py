@@ -317,11 +317,19 @@ def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
 
 def unseen(law: Law, draws: Position) -> list[str]:
     """What no test looks at, in words: what a PASS says nothing of."""
-    names = main_coordinates(law, draws)
+    names, unheld = main_coordinates(law, draws), []
+    if "u" in law.auxiliary and not any(name.startswith("x") for name in law.statistics):
+        unheld = [
+            "whether log_prob is the density of what the techniques make: of x no exact value is known, and the law's "
+            "own draws believe it too; check_technique tells"
+        ]
     if len(names) <= 3:
-        return []
+        return unheld
     least = "four" if len(names) <= _TRIPLES else "three"
     at_once = "all" if len(names) <= _ORTHANTS else f"{_ORTHANTS} neighbours"
     left = len(names) * (len(names) - 1) // 2 - len(_pairs(names))
     pairs = f", and {left} pairs" if left else ""
-    return [f"what {least} coordinates show together, but for {at_once} at once below or above their medians{pairs}"]
+    return [
+        *unheld,
+        f"what {least} coordinates show together, but for {at_once} at once below or above their medians{pairs}",
+    ]

@@ -48,7 +48,8 @@ def _cells(start: Position, after: Position):
     width = len(ends) + 1
 
     def cell(index: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return np.asarray(index) * width + np.searchsorted(ends, x, side="right")
+        # A wrong kernel may have left every technique.
+        return np.maximum(index, 0) * width + np.searchsorted(ends, x, side="right")
 
     def label(k: np.integer) -> str:
         index, b = divmod(int(k), width)

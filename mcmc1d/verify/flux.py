@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from mcmc1d.checks import require_mass
 from mcmc1d.compiling import wide_jit
 from mcmc1d.numerics import cast, require
 from mcmc1d.types import Array, Float, UInt32
@@ -170,6 +171,8 @@ def measure(
 
 def _gather(cells: Cells, sums: list[_Sums], kinds: tuple[str, ...]) -> Flux:
     """The used cells alone, and everything relative to the target's mass."""
+    for s in sums:
+        require_mass(s.mass, "the transition operator", "the target")
     scrambles = [s.escapable() for s in sums]
     reached: Matrix = sum(scrambles[1:], scrambles[0])
     starts = np.diff(reached.indptr) > 0

@@ -173,6 +173,23 @@ class HostSubject(Subject):
             _shapes(where) == _shapes(few),
             f"{self.name}: the positions it returns are {_shapes(where)}, and those it was given {_shapes(few)}",
         )
+        self._require_own_numbers(start)
+
+    def _require_own_numbers(self, start: Position) -> None:
+        """Raise `ValueError` where chains at one place all move alike, and otherwise for another generator."""
+        for row in range(_PLACES):
+            place = jax.tree.map(lambda a, row=row: np.repeat(a[row : row + 1], _CHAINS, 0), start)
+            before, ends = _rows(place), []
+            for seed in (0, 1):
+                rng = np.random.default_rng(seed)
+                after = _rows(self._where(self.kernel.step(rng, self._begin(rng, jax.tree.map(np.array, place)))))
+                moved = (after != before).any(1)
+                alike = moved.sum() * 4 > _CHAINS and len(np.unique(after[moved], axis=0)) == 1
+                ends.append(after[moved][0] if alike else None)
+            if ends[0] is not None and ends[1] is not None and not np.array_equal(*ends):
+                raise ValueError(
+                    f"{self.name}: all chains move by the same random number; draw one for each, of size=len(x)"
+                )
 
     def drawn(self, start: Position) -> bool:
         if self.kernel.init is None:
@@ -197,6 +214,15 @@ class HostSubject(Subject):
                 state = self.kernel.step(rng, state)
             yield Look(jax.tree.map(np.array, self._where(state)))
             done = time
+
+
+_CHAINS, _PLACES = 64, 4
+"""Of chains that start at one place, and places: two of their ways differ, unless they share their numbers."""
+
+
+def _rows(where: Position) -> np.ndarray:
+    """Positions as rows of numbers, (chains, numbers)."""
+    return np.concatenate([np.asarray(a).reshape(len(a), -1) for a in jax.tree.leaves(where)], 1)
 
 
 def _require_kept(name: str, start: Position, where: Position) -> None:

@@ -43,13 +43,27 @@ class LibrarySubject(Subject):
     def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
         kernel, target = cast(self.kernel, self.dtype), cast(self.target, self.dtype)
         key, most = key_of((*seed, first)), jnp.asarray(self.most, self.dtype)
-        state = State(jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
+        state = _evaluated(target, jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
         done = 0
         for time in times:
             span = jnp.asarray(done), jnp.asarray(time)
-            state, points, picked = _advance_library(key, kernel, target, state, span, most)
-            yield Look(jax.tree.map(np.asarray, points), drawn(picked))
+            # With all that a chain carries, as in a run: what it carries may be wrong.
+            state, points, picked, stale = _advance_library(key, kernel, target, state, span, most)
+            points = jax.tree.map(np.asarray, points)
+            yield Look(points, drawn(picked), self._wrong(points["index"], np.asarray(stale)))
             done = time
+
+    def _wrong(self, index: np.ndarray, stale: np.ndarray) -> str:
+        n = self.target.n_techniques
+        lost = (index < 0) | (index >= n)
+        if lost.any():
+            return f"it goes to technique {index[lost][0]}, and there are 0 to {n - 1}, in {lost.sum()} of {len(lost)}"
+        if stale.mean() > _STALE:
+            return (
+                f"in {stale.sum()} of {len(stale)} replicas the state's `eval` is not that of its index and u; return "
+                "State(index, u) without it where they have changed"
+            )
+        return ""
 
     def kinds(self, seed: Sequence[int], first: int, start: Position) -> tuple[Position, np.ndarray]:
         """The positions after one step, and the kind of move that each step was."""
@@ -59,17 +73,38 @@ class LibrarySubject(Subject):
         return positions(target, after), np.asarray(kind)
 
 
+_STALE = 0.01
+"""The share of replicas whose `eval` rounding alone may have moved far: at a wall, or beside a pole."""
+
+
+@quickly
+def _evaluated(target: Multiplexed, index: Array, u: Array) -> State:
+    """Evaluated states, the last axis of each leaf counting them."""
+    return jax.vmap(target.evaluate, out_axes=-1)(State(index, u))
+
+
+def _stale(target: Multiplexed, states: State) -> Array:
+    """Of which states the `eval` is another's: x off by 1 % of the domain, or the density by a factor of two."""
+
+    def one(state: State) -> Array:
+        kept, fresh = state.seen, target.evaluate(State(state.index, state.u)).seen
+        lower, upper = (jnp.asarray(end, state.u.dtype) for end in target.target.domain)
+        off = jnp.abs(kept.log_c - fresh.log_c) > jnp.log(2.0)
+        return jnp.any(jnp.abs(kept.x - fresh.x) > 0.01 * (upper - lower)) | off
+
+    return jax.vmap(one, in_axes=-1)(states)
+
+
 @wide_jit
 def _advance_library(
-    key: Key, kernel: Kernel, target: Multiplexed, state: State, span: tuple[Array, Array], most: Array
-) -> tuple[State, Any, Any]:
-    n, dtype, (first, last) = state.u.shape[0], state.u.dtype, span
+    key: Key, kernel: Kernel, target: Multiplexed, states: State, span: tuple[Array, Array], most: Array
+) -> tuple[State, Any, Any, Array]:
+    n, dtype, (first, last) = states.u.shape[-1], states.u.dtype, span
 
     def one(states: State, t: Array) -> tuple[State, Any]:
         step = _library_step(key, kernel, target, states, t)
         return step.state, step.deposits
 
-    states = jax.vmap(target.evaluate, out_axes=-1)(state)
     one, (_, shapes) = traced_once(one, states, first)
     none = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     # The deposits ride along, though only the last step's are looked at: so the step is compiled once.
@@ -78,7 +113,7 @@ def _advance_library(
     uniform = uniforms(key, last + PICK, (1, n), dtype)[0]
     picked = jax.vmap(pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, most)
     where = {"index": after.index, "x": jnp.moveaxis(after.seen.x, -1, 0), "u": after.u.T}
-    return State(after.index, after.u.T), where, picked
+    return after, where, picked, _stale(target, after)
 
 
 @quickly

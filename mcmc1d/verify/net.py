@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_cover, require_instance, rising
+from mcmc1d.checks import require_cover, require_instance, require_mass, rising
 from mcmc1d.compiling import wide_jit
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
@@ -65,7 +65,7 @@ def deposit_law(
             for first in range(0, points, batch):
                 out = _sums(*fitted, words, jnp.uint32(first), jnp.int32(index), jnp.asarray(edges, dtype), batch)
                 total, mass = total + np.asarray(out[0], np.float64), mass + float(out[1])
-        found.append(total / mass)
+        found.append(total / require_mass(mass, "deposit_law", type(of).__name__))
     each = np.stack(found)
     return DepositLaw(each.mean(0), each.std(0, ddof=1) / np.sqrt(scrambles))
 

@@ -172,6 +172,8 @@ class Sampler:
 
     def inspect(self, start: Position, look: Look, t: int) -> list[str]:
         """What no kernel may return, in words with an example."""
+        if look.wrong:
+            return [f"{look.wrong}, after {t} step{'s' * (t > 1)}"]
         before, after = coordinates(start), coordinates(look.positions)
         for name, values in after.items():
             bad = ~np.isfinite(values) if values.dtype.kind == "f" else np.zeros(len(values), bool)

@@ -36,6 +36,8 @@ class Look:
 
     positions: Position
     picked: Picked | None = None
+    wrong: str = ""
+    """What no kernel may leave behind, in words."""
 
 
 class Subject(abc.ABC):
@@ -108,18 +110,19 @@ def head(n: int, look: Look) -> Look:
     picked = look.picked
     if picked is not None:
         picked = Picked(cut(picked.points), picked.none[:n], picked.least, picked.most)
-    return Look(cut(look.positions), picked)
+    return Look(cut(look.positions), picked, look.wrong)
 
 
 def joined(looks: Sequence[Look]) -> Look:
     """The looks at several slices of replicas as one."""
     positions = jax.tree.map(lambda *parts: np.concatenate(parts), *(look.positions for look in looks))
     picked = [look.picked for look in looks if look.picked is not None]
+    wrong = next((look.wrong for look in looks if look.wrong), "")
     if not picked:
-        return Look(positions)
+        return Look(positions, wrong=wrong)
     points = jax.tree.map(lambda *parts: np.concatenate(parts), *(p.points for p in picked))
     none = np.concatenate([p.none for p in picked])
-    return Look(positions, Picked(points, none, min(p.least for p in picked), max(p.most for p in picked)))
+    return Look(positions, Picked(points, none, min(p.least for p in picked), max(p.most for p in picked)), wrong)
 
 
 def pick(points: Any, weights: Array, uniform: Array, limit: Array) -> tuple[Any, Array, Array, Array]:

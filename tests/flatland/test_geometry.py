@@ -62,6 +62,17 @@ def test_nothing_passes_where_walls_touch(name):
     assert np.all(met_all)
 
 
+def test_what_touches_is_hardly_longer_than_it_is():
+    """A block's face of a thousandth of the scene, against the far wall: 2e-6 of the scene beyond each end, it ends."""
+    size = 1e-3
+    corners = [(2.0, 1 - size), (2.0, 1 + size), (2.1, 1 + size), (2.1, 1 - size)]
+    scene = Scene("lamp", (*polygon(corners, LAMP), Segment((4.0, 0.0), (4.0, 2.0), LAMP)), EYE)
+    across = np.linspace(-0.999, 0.999, 101)
+    assert (met(scene, 1 + size * across) == 0).all()
+    beyond = 2 * 2e-6 * np.array([-1, 1])
+    assert (met(scene, 1 + size * np.array([-1, 1]) + beyond) == 4).all()
+
+
 @pytest.mark.parametrize("sensor", ["pinhole", "wall"])
 def test_a_path_arrives_where_its_first_edge_leads(sensor):
     """By way of none, one and two mirrors: the film's coordinate is that of the direction in which the path leaves."""

@@ -83,9 +83,10 @@ def integrate(
     require_instance(integrator, Integrator, "integrate: the integrator", ", nor a name of one")
     require_scene(scene, "integrate: the scene")
     several = np.iterable(lengths)
-    for k in lengths if several else (lengths,):
+    given = tuple(lengths) if several else (lengths,)
+    for k in given:
         require_whole(k, "integrate: lengths: a number of edges")
-    each = tuple(lengths) if several else range(1, lengths + 1)
+    each = given if several else range(1, lengths + 1)
     distinct = len(set(each)) == len(each) > 0
     require(distinct, f"integrate: lengths are different numbers of edges, one at least, not {lengths}")
     require_key(key, "integrate")
