@@ -49,9 +49,9 @@ def _proposed(
 
 
 def shadow_rays(
-    target: Multiplexed, paths: Paths, index: Int[Array, " n"], x: Float[Array, "d n"]
+    target: Multiplexed, paths: Paths, index: Index, x: Float[Array, "d n"]
 ) -> tuple[Bool[Array, " n"], Bool[Array, " n"]]:
-    """`shadow_ray` of many paths."""
+    """`shadow_ray` of many paths, n of them."""
     return jax.vmap(partial(shadow_ray, target, paths), in_axes=(0, -1))(index, x)
 
 
