@@ -28,11 +28,11 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from experiments.support.flatland_held import FACTORS, LEVEL, held
-from experiments.support.flatland_stages import METHODS, Contest, Images, pooled
+from experiments.support.flatland_stages import Contest, Images, pooled
 from experiments.support.flatland_table1 import claims
 from experiments.support.flatland_table1_draw import draw_table1, table1
 from experiments.support.framework import Claim
-from experiments.support.stage_methods import BRIGHT, PAPER
+from experiments.support.stage_methods import BRIGHT, METHODS, PAPER
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing
 from mcmc1d.flatland.reference import image
@@ -74,8 +74,8 @@ PROFILES = {
         runs=256,
         samples=2**15,
         shadows=2**11,
-        held_chains=2**15,
-        held_samples=2**22,
+        held_chains=2**13,
+        held_samples=2**21,
     ),
 }
 

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.support.flatland_shadow import blocked_share, looked_at, shadow_rays
-from experiments.support.stage_methods import METHODS
 from mcmc1d.flatland import Paths, Scene
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing, StagedMLT
@@ -230,4 +229,4 @@ def pooled(layers: Sequence[Layer]) -> Layer:
     return layers[0]._replace(deposits=deposits, rays=sum(layer.rays for layer in layers))
 
 
-__all__ = ["METHODS", "Contest", "Images", "pooled"]
+__all__ = ["Contest", "Images", "pooled"]

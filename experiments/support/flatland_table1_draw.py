@@ -12,6 +12,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from experiments.support.flatland import draw_scene
+from experiments.support.flatland_table1 import REGIMES
 from experiments.support.intervals import geometric, ratio
 from experiments.support.stage_methods import METHODS
 from mcmc1d.flatland.scenes import scene
@@ -21,8 +22,8 @@ HEADS = ("scene", "alg.", "rays", "shdw", "acc.", "var.", "skew", "kur.", "error
 NOTE = "acc., var., error and VErr.: geometric means of the runs, as the ratios above, errors with 95 % intervals"
 
 _PANELS = (
-    ("PuOr", (0.25, 4), "image / exact, log; beyond: green, red", ("#00dd00", "#ff0000")),
-    ("viridis", (0.1, 10), "samples / their mean, log; beyond: white, red", ("white", "#ff0000")),
+    ("PuOr", (0.25, 4), "image / exact (log)", ("black", "#00a5a5")),
+    ("viridis", (0.1, 10), "samples / their mean (log)", ("white", "#e00000")),
 )
 """Colours, limits, what is shown, and the colours of what is under and over the limits."""
 
@@ -40,7 +41,7 @@ def draw_table1(data: xr.Dataset, edges: dict[str, int]) -> Figure:
         here, last = data.isel(scene=k), k == rows - 1
         name = str(here.scene.item())
         draw_scene(row[0], scene(name), legend=False)
-        row[0].set_title(f"{name}, {edges[name]} edges")
+        row[0].set_title(f"{name}, {edges[name]} edges\n(there: {REGIMES[name]})")
         truth, density = here.exact.to_numpy(), here.density.isel(run=0)
         films = here.image.isel(run=0).to_numpy() / truth, (density / density.mean("pixel")).to_numpy()
         for kind, (panel, values) in enumerate(zip(row[1:3], films, strict=True)):

@@ -139,12 +139,12 @@ def test_the_tables_errors_are_geometric_means_as_the_ratios_are():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["box", "mirror_caustic"])
-def test_runs_are_what_their_pooled_image_is_and_path_tracing_is_even(name):
+@pytest.mark.parametrize(("name", "mean"), [("box", 0.5), ("mirror_caustic", 0.004)])
+def test_runs_are_what_their_pooled_image_is_and_path_tracing_is_even(name, mean):
     pixels, runs = 16, 4
     edges, of = SCENES[name]
     contest = Contest(
-        scene(name).with_pixels(pixels), edges, of, np.full(pixels, 0.004), runs, 2**12, 8, 0.05, 0.1, 20, 64
+        scene(name).with_pixels(pixels), edges, of, np.full(pixels, mean), runs, 2**12, 8, 0.05, 0.1, 20, 64
     )
     path, erpt = contest.path(jax.random.key(0)), contest.redistribution(jax.random.key(1))
     for found in (path, erpt):
