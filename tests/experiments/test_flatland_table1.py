@@ -110,6 +110,7 @@ def test_few_samples_find_neither():
     found = held(made(1, bound=1e3), EXACT, np.zeros(4), 1e-5)
     assert found["detectable"][0] > GOAL
     assert max(found["excess"]) < 1
+    assert np.isnan(held(None, EXACT, np.zeros(4), 1e-5)["excess"]).all()
 
 
 @pytest.mark.parametrize(
@@ -118,6 +119,7 @@ def test_few_samples_find_neither():
         ((0.5, 3.0, 3.0), 0.05, "holds"),
         ((0.5, 3.0, 3.0), 3.2, "open"),  # an average of 322 % was said to hold
         ((0.5, 3.0, 0.9), 0.05, "open"),  # a twin that is not found
+        ((np.nan, np.nan, np.nan), np.inf, "open"),  # no image
         ((1.1, 3.0, 3.0), 3.2, "fails"),
     ],
 )
