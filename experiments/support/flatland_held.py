@@ -61,9 +61,9 @@ def exact_claim(data: xr.Dataset, source: str) -> Claim:
         "holds",
         f"the worst pixel in radii of the test, and the error that would be found in any: {'; '.join(listed)}; of "
         f"{twins.size} twins, half or twice as bright, {int((twins > 1).sum())} are found",
-        f"Bernstein's inequality, family-wise {LEVEL:g}; path and ERPT: all runs as one image, the others: images of "
-        f"{int(data.held_chains)} chains, b apart, in the paper profile; open unless errors of {GOAL:.0%} and all twins "
-        "are found",
+        f"Bernstein's inequality, family-wise {LEVEL:g}; path and ERPT: all runs as one image, the others: in the "
+        f"paper profile, images of {int(data.held_chains)} chains, b apart; open unless errors of {GOAL:.0%} and all "
+        "twins are found",
     )
 
 
