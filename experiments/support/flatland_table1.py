@@ -10,7 +10,7 @@ from experiments.support.flatland_held import exact_claim
 from experiments.support.framework import Claim
 from experiments.support.intervals import DECIDES, Ratio, over, ratio, shown, under
 from experiments.support.stage_methods import METHODS
-from experiments.support.verdict import among
+from experiments.support.verdict import among, verdict
 
 STAGES = ("multi-stage", "noise-aware")
 DOOR = "holds if the scene is door"
@@ -81,8 +81,10 @@ class Runs:
         each = [(c, m, r) for c in columns for m in methods for r in rivals]
         return [ratio(self.of(c, scene, m), self.of(c, scene, r), miss / len(each)) for c, m, r in each]
 
-    def listed(self, column: str, methods: tuple[str, ...], rivals: tuple[str, ...]) -> str:
-        """The ratios of all scenes, with intervals of 95 % each, and those of the paper."""
+    def listed(
+        self, column: str, methods: tuple[str, ...], rivals: tuple[str, ...], true: dict[str, bool | None]
+    ) -> str:
+        """The ratios of all scenes, with intervals of 95 % each, those of the paper, and what is true of each scene."""
         found = []
         for scene in self.scenes:
             each = [
@@ -91,7 +93,7 @@ class Runs:
                 for m in methods
                 for r in rivals
             ]
-            found.append(f"{scene} ({REGIMES[scene]}): {', '.join(each)}")
+            found.append(f"{_named(scene, true)}: {', '.join(each)}")
         return "; ".join(found)
 
     def claim(
@@ -118,10 +120,15 @@ class Runs:
             where,
             among(true),
             expected,
-            "; ".join(f"{column}: {self.listed(column, methods, rivals)}" for column in columns),
+            "; ".join(f"{column}: {self.listed(column, methods, rivals, true)}" for column in columns),
             f"ratios of geometric means {side}, the paper's in brackets; Welch's t of {self.data.sizes['run']} runs: "
-            f"shown of 95 % each, deciding at {DECIDES:g} family-wise, where they reach to a factor of {worst:.2f} at most",
+            f"shown of 95 % each, deciding at {DECIDES:g} family-wise, where they reach to a factor of {worst:.2f}",
         )
+
+
+def _named(scene: str, true: dict[str, bool | None]) -> str:
+    """A scene, the paper's regime, and what is said of it alone."""
+    return f"{scene} ({REGIMES[scene]}, {verdict(true[scene])})"
 
 
 def claims(data: xr.Dataset, source: str) -> list[Claim]:
@@ -225,7 +232,7 @@ def _shadow_claim(runs: Runs) -> Claim:
         true[scene] = ordered(apart)
         widest = max(widest, *((high - low) / 2 for low, high in apart))
         each = [f"{m} {rate.mean():.1%} ({there(scene, 'shadow', m):.1%})" for m, rate in rates.items()]
-        listed.append(f"{scene} ({REGIMES[scene]}): {', '.join(each)}")
+        listed.append(f"{_named(scene, true)}: {', '.join(each)}")
     return Claim(
         "plane.shadow-rays",
         "More of path tracing's shadow rays are blocked than of ERPT's, and of those more than of MLT's",
