@@ -68,7 +68,7 @@ def test_of_runs_that_vary_much_nothing_is_decided():
 
 def test_the_papers_are_those_of_the_regime():
     assert there("door", "visual", "multi-stage") == there("three_rooms", "visual", "multi-stage") == 4.70
-    assert there("mirror_caustic", "shadow", "ERPT") == 0.121
+    assert there("lab", "shadow", "ERPT") == 0.315
 
 
 def test_shadow_rays_are_in_order_where_every_difference_is_and_open_where_one_is_not_known():
@@ -141,21 +141,19 @@ def test_the_tables_errors_are_geometric_means_as_the_ratios_are():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "mean"), [("box", 0.5), ("mirror_caustic", 0.004)])
-def test_runs_are_what_their_pooled_image_is_and_path_tracing_is_even(name, mean):
+def test_runs_are_what_their_pooled_image_is_and_path_tracing_is_even():
     pixels, runs = 16, 4
-    edges, of = SCENES[name]
+    edges, of = SCENES["box"]
     contest = Contest(
-        scene(name).with_pixels(pixels), edges, of, np.full(pixels, mean), runs, 2**12, 8, 0.05, 0.1, 20, 64
+        scene("box").with_pixels(pixels), edges, of, np.full(pixels, 0.5), runs, 2**12, 8, 0.05, 0.1, 20, 64
     )
     path, erpt = contest.path(jax.random.key(0)), contest.redistribution(jax.random.key(1))
     for found in (path, erpt):
         assert found.layer is not None
         assert found.image.mean(0) == pytest.approx(found.layer.value, rel=1e-5)
         assert np.all(found.layer.deposits.squares >= found.layer.deposits.total**2 / found.layer.deposits.size)
-    if name == "box":
-        # Every path begins at the sensor: to the last one alike, not but for a rounding.
-        statistics = density_statistics(path.density)
-        assert np.all(statistics.variance == 0)
-        assert np.all(statistics.kurtosis == -3)
-        assert np.all((path.shadow > 0) & (path.shadow < 0.2))
+    # Every path begins at the sensor: to the last one alike, not but for a rounding.
+    statistics = density_statistics(path.density)
+    assert np.all(statistics.variance == 0)
+    assert np.all(statistics.kurtosis == -3)
+    assert np.all((path.shadow > 0) & (path.shadow < 0.2))
