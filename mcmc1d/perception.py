@@ -9,7 +9,8 @@ from mcmc1d.numerics import require
 from mcmc1d.pixels import resample
 
 EXPOSURE = 50.0
-"""Luminance in cd/m^2 of a pixel of value 1, ours: a display's middle, where the paper's scenes are not said to lie."""
+"""Luminance in cd/m^2 of a pixel of value 1, or of an image's mean; ours: a display's middle, where the paper's scenes
+are not said to lie."""
 
 
 def tvi(luminance: ArrayLike) -> np.ndarray:

@@ -3,14 +3,16 @@
 from experiments.support.scenes import walk
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Move
+from mcmc1d.perception import EXPOSURE
 from mcmc1d.redistribution import energy_redistribution, independent
 from mcmc1d.rendering import Rendered, Renderer, Scene
 from mcmc1d.stages import MultiStage, NoiseAware, Stage, plan
 from mcmc1d.types import Key
 
 PAPER = "Hoberock and Hart 2010"
-METHODS = ("path", "MLT", "ERPT", "2MLT", "MMLT", "NAMLT")
-BRIGHT, DARK = 50.0, 1e-5
+METHODS = ("path", "MLT", "ERPT", "two-stage", "multi-stage", "noise-aware")
+"""The paper's 2MLT, MMLT and NAMLT are spelled out: MMLT is multiplexed Metropolis light transport elsewhere."""
+BRIGHT, DARK = EXPOSURE, 1e-5
 """The mean of the image in cd/m^2: as a display shows it, where Weber's law is near, and in the dark, where the
 threshold is constant and a visual error is an absolute one."""
 
@@ -31,8 +33,9 @@ def render(
         return renderer.plain(key, samples)
     if method == "ERPT":
         return energy_redistribution(key, scene, kernel, samples, replicas)
-    if method == "2MLT":
-        # A sixteenth of the work for a test image of a quarter of the resolution; the paper leaves both open.
+    if method == "two-stage":
+        # A sixteenth of the work for a test image of a quarter of the resolution; the paper has 1e6 of 50 to 500
+        # million rays for it, and leaves the resolution open.
         return renderer.two_stage(key, Stage(side // 4, samples // 16), samples - samples // 16, adapt)[1]
     exposure = BRIGHT / scene.exact().mean()
-    return renderer.render(key, plan(side, samples), adapt if method == "MMLT" else NoiseAware(adapt, exposure))
+    return renderer.render(key, plan(side, samples), adapt if method == "multi-stage" else NoiseAware(adapt, exposure))

@@ -9,7 +9,7 @@ import xarray as xr
 from experiments.flatland_mmlt import INTEGRATORS, at_equal_rays
 from experiments.flatland_rjmlt import MOVES
 from experiments.support.flatland_chains import close, mixes, others
-from experiments.support.flatland_stages import shadow_ray
+from experiments.support.flatland_shadow import shadow_ray
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import BidirectionalPathTracing
 from mcmc1d.flatland.scenes import scene

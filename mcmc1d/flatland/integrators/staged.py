@@ -20,6 +20,7 @@ from mcmc1d.image import Film
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange
 from mcmc1d.numerics import require
+from mcmc1d.perception import EXPOSURE
 from mcmc1d.pixels import Pixels, resample
 from mcmc1d.stages import MultiStage, NoiseAware, Stage, plan
 from mcmc1d.state import Multiplexed, State
@@ -78,8 +79,8 @@ class StagedMLT(Integrator):
     """Stages from half of the resolution to all of it."""
     floor: float = eqx.field(static=True, default=0.01)
     """What a region of the image counts at least, as a share of the mean; see `MultiStage`."""
-    luminance: float = eqx.field(static=True, default=50.0)
-    """Of the image's mean in cd/m^2, for the eye's threshold: a display's middle."""
+    luminance: float = eqx.field(static=True, default=EXPOSURE)
+    """Of the image's mean in cd/m^2, for the eye's threshold."""
     test_share: float = eqx.field(static=True, default=1 / 16)
     """Of the samples, for the test image of two-stage."""
     test_regions: float = eqx.field(static=True, default=1 / 4)
