@@ -55,6 +55,14 @@ def names() -> list[str]:
     return sorted(module.name for module in found if not module.ispkg and not module.name.startswith("_"))
 
 
+def chosen(text: str, known: Mapping[str, Any]) -> list[str]:
+    """The names in a configuration's list, or with "all" all that are known; `ValueError` where one is not."""
+    named = list(known) if text == "all" else text.split()
+    unknown = [name for name in named if name not in known]
+    require(not unknown, f"there is no {', '.join(unknown)}; known: {', '.join(known)}")
+    return named
+
+
 def load(name: str) -> ModuleType:
     """The module of an experiment; `ValueError` lists the known ones."""
     require(name in names(), f"there is no experiment {name!r}; known: {', '.join(names())}")
