@@ -14,7 +14,11 @@ _ROWS = 1024
 
 
 class Ratios(NamedTuple):
-    """Ratio, lower and upper end of its interval: (cases, 3)."""
+    """Ratio, lower and upper end of its interval: (cases, 3).
+
+    Of 200 errors that are lognormal intervals of means miss as often as asked; of deviations half as often again where
+    the logarithm's is 0.5, and up to twice as often where it is 1.
+    """
 
     means: np.ndarray
     deviations: np.ndarray

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +13,7 @@ import mcmc1d
 from experiments.support.flatland_chains import METHODS, MOVES, mixed_kernel, mixes
 from experiments.support.framework import Claim
 from experiments.support.verdict import verdict
+from mcmc1d.compiling import quickly
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import RJMLT
 from mcmc1d.flatland.scenes import scene
@@ -56,7 +56,7 @@ def accepted(
     }
 
 
-@eqx.filter_jit
+@quickly
 def _proposals(kernel: Kernel, target: Multiplexed, states: State, w: Array) -> tuple[Array, Array, Array]:
     """Of each state: which kind of move is proposed, with what chance it is accepted, and that of a uniform jump.
 
