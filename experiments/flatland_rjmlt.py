@@ -17,6 +17,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullLocator
 from rich.box import SIMPLE
 from rich.table import Table
 
@@ -125,15 +126,11 @@ def draw(data: xr.Dataset) -> Figure:
         above, below = axes[2 * (k // columns), k % columns], axes[2 * (k // columns) + 1, k % columns]
         _draw_scene(above, below, data.sel(scene=name))
         above.set_title(str(name).replace("_", " "))
-    moves = axes[1, 0].legend(*axes[0, 0].get_legend_handles_labels(), loc="upper left", title="acceptance of")
-    axes[1, 0].add_artist(moves)
+    axes[1, 0].legend(*axes[0, 0].get_legend_handles_labels(), loc="upper left", handlelength=2.4)
     lines = [Line2D([], [], color=color, linestyle=dashes) for color, dashes in STYLES.values()]
     lines.append(Line2D([], [], color="0.5", linestyle=":"))
-    labels = [*STYLES, "its standard deviation over runs"]
-    axes[1, 0].legend(lines, labels, loc="lower left", title="error", handlelength=2.4)
-    for legend in (moves, axes[1, 0].get_legend()):
-        legend.get_title().set_fontsize(6)
-        legend.set_alignment("left")
+    labels = [*STYLES, "standard deviation over runs (MMLT, RJMLT)"]
+    figure.legend(lines, labels, loc="outside lower center", ncols=5, handlelength=2.4)
     return figure
 
 
@@ -162,7 +159,12 @@ def _draw_scene(above: Axes, below: Axes, data: xr.Dataset) -> None:
     for panel in (above, below):
         panel.axis("on")
     above.set(xscale="log", yscale="log", xlabel="rays", ylabel="squared error / mean²")
-    below.set(xlabel="pixel", ylabel="run to run (% of the pixel)", yscale="log")
+    below.set(xlabel="pixel", ylabel="s.d. over runs (% of pixel)", yscale="log")
+    low, high = below.get_ylim()
+    ticks = [t for t in (2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000) if low < t < high]
+    below.set_yticks(ticks, [str(t) for t in ticks])
+    below.yaxis.set_minor_locator(NullLocator())
+    below.set_xticks(range(0, data.sizes["pixel"], 5))
 
 
 def table(data: xr.Dataset) -> Table:
