@@ -46,7 +46,7 @@ class Config:
     large: float = 0.1
     """The paper's share of large steps; small ones are what these and the jumps leave."""
     jump: float = 0.05
-    runs: int = 512
+    runs: int = 1024
     """Independent runs of one chain for each path length; 50 in the paper."""
     first: int = 64
     """Mutations of each length, jumps not counted, after which a run's image is looked at first."""
@@ -60,10 +60,10 @@ PROFILES = {
     "paper": Config(
         # Not office, whose exact image is out of reach.
         scenes="furnace box door occluder mirror_caustic glossy_corner open three_rooms lab",
-        lengths="3 4 6",
+        lengths="3 6",
         acceptance_lengths="2 3 4 5 6 7 8 9 10",
         states=2**16,
-        doublings=8,
+        doublings=7,
     ),
 }
 

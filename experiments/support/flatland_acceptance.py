@@ -143,7 +143,7 @@ def acceptance_claims(data: xr.Dataset) -> list[Claim]:
             f"{SOURCE}, sec. 4, fig. 4 (close to 100 %)",
             verdict(True if least > 0.99 else False if most < 0.99 else None),
             "holds",
-            f"{listed('jump')}; {lost.sum():.2g} of {jumps.sum()} rejected",
+            f"a share of {lost.sum() / jumps.sum():.1e} rejected, of {jumps.sum()} at {size} lengths",
             f"99 %; binomial, family-wise {LEVEL:g}: over {least:.2%} at every length; twin: uniform jumps, "
             f"{listed('uniform jump')}",
         ),

@@ -24,7 +24,10 @@ LEVEL = 0.01
 LOOKS = (-5, -3, -1)
 """The checkpoints that claims look at: a sixteenth, a quarter and all of the rays."""
 STATISTICS = ("mse", "deviation", "flicker")
-"""Mean of the squared error over runs; its standard deviation over runs; a pixel's from run to run, over its value."""
+"""Mean of the squared error over runs; its standard deviation over runs; the root mean square of pixels' deviations.
+
+In the last each pixel counts alike: its deviations are in units of their root mean square over all methods and runs.
+"""
 SHARP = 0.1
 """Of a pixel, or of the image's mean if that is more: the error that an image must be able to show."""
 _LIT = 0.01
@@ -73,16 +76,16 @@ def converge(
             wrong[k] += (1 - 1 / n) * pixels * b * found[-1].mean(0)
         of_b = of_b + (true * sem(drawn) / b) ** 2
     lit = reference > _LIT * reference.mean()
-    relative = residual[..., lit] / reference[lit]
+    square = residual[..., lit] ** 2
     spread = np.full((len(METHODS), pixels), np.nan)
-    spread[:, lit] = relative[:, -1].std(1, ddof=1)
+    spread[:, lit] = residual[:, -1][..., lit].std(1, ddof=1) / reference[lit]
     miss = LEVEL / (len(catalogue()) * len(METHODS))
     noise = np.hypot(sem(own, axis=1, ddof=1), np.sqrt(of_b))
     far = np.array([critical(one, miss) for one in own])[:, None]
     radius, scale = far * noise + known, np.maximum(reference, reference.mean())
     found = {
         "squared": ((residual / reference.mean()) ** 2).mean(-1),
-        "flickers": (relative**2).mean(-1),
+        "flickers": (square / square.mean((0, 2), keepdims=True)).mean(-1),
         "spread": spread,
         "excess": np.abs(own.mean(1) - reference) / radius,
         "twin": np.abs(wrong - reference) / radius,
@@ -133,9 +136,9 @@ def stability_claims(data: xr.Dataset) -> list[Claim]:
         for statistic, what, source in zip(
             STATISTICS,
             (
-                "mean squared error is lower than MMLT's (mean of all runs)",
-                "squared error varies less from run to run than MMLT's (standard deviation)",
-                "pixels vary less from run to run than MMLT's (root mean square of the spread over the pixel's value)",
+                f"{method} has a lower squared error than MMLT, averaged over runs",
+                f"the squared error of {method} varies less from run to run than MMLT's (standard deviation)",
+                f"the pixels of {method} vary less from run to run than MMLT's (root mean square, all pixels alike)",
             ),
             sources,
             strict=True,
@@ -153,7 +156,7 @@ def stability_claims(data: xr.Dataset) -> list[Claim]:
             claims.append(
                 Claim(
                     f"plane.rjmlt{suffix}-{statistic}",
-                    f"At equal rays {method}'s {what}",
+                    f"At equal rays {what}",
                     source,
                     _of_all(by_name),
                     "holds",
