@@ -161,7 +161,7 @@ def _draw_scene(above: Axes, below: Axes, data: xr.Dataset) -> None:
     above.set(xscale="log", yscale="log", xlabel="rays", ylabel="squared error / mean²")
     below.set(xlabel="pixel", ylabel="s.d. over runs (% of pixel)", yscale="log")
     low, high = below.get_ylim()
-    ticks = [t for t in (2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000) if low < t < high]
+    ticks = [t for t in (2, 5, 10, 20, 30, 50, 100, 200, 300, 500, 1000) if low < t < high]
     below.set_yticks(ticks, [str(t) for t in ticks])
     below.yaxis.set_minor_locator(NullLocator())
     below.set_xticks(range(0, data.sizes["pixel"], 5))

@@ -132,7 +132,10 @@ def stability_claims(data: xr.Dataset) -> list[Claim]:
             what, where = said[statistic]
             word, number, held = _against_mmlt(data.ratio.sel(statistic=statistic), method, data.sizes["run"])
             source = "ours" if suffix else f"{SOURCE}, {where}"
-            name, statement = f"plane.rjmlt{suffix}-{statistic}", f"At equal rays {what.format(method)}"
+            name, statement = (
+                f"plane.rjmlt{suffix}-{statistic}",
+                f"At equal rays {what.format(method.replace(',', ' with'))}",
+            )
             claims.append(Claim(name, statement, source, word, "holds", number, held))
     return claims
 
