@@ -181,7 +181,7 @@ def draw(data: xr.Dataset) -> Figure:
     axes.minorticks_off()
     bar = figure.colorbar(shown, ax=axes, location="bottom", shrink=0.6, aspect=40, extend="max")
     bar.set_label(
-        "worst pixel's distance from the exact image (over 1 fails);\nbeside it: error of a pixel's total found"
+        "worst pixel's distance from the exact image (over 1 fails);\nbeside it: error of a total found"
     )
     bar.ax.tick_params(labelsize=6)
     bar.ax.xaxis.label.set_size(6)

@@ -1,4 +1,9 @@
-"""Bitterli et al. 2017, section 7.1 and figure 3: five integrators on the line, two of them wrong."""
+"""Bitterli et al. 2017, section 7.1 and figure 3: five integrators on the line, two of them wrong.
+
+The jumps of "full, aimed" have T(i, j) = w_j and are always accepted: the paper's method (section 4). Those of "full",
+"no Jacobian" and "fixed point" go to each technique alike, T(i, j) = 1 / n, and may be rejected: eqs. 14 and 19 leave T
+free, and section 7.1 does not say which its figure 3 has.
+"""
 
 import dataclasses
 import math

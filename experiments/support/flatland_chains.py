@@ -18,9 +18,11 @@ from mcmc1d.moves import AimedJump, LargeStep, Mixture, ReversibleJump, SmallSte
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 
-MOVES = ("large", "keep", "change", "jump", "aimed")
-"""A large step; a small step that keeps the technique; one that changes it; a reversible jump; an aimed one."""
-METHODS = ("MMLT", "MMLT, any technique", "RJMLT", "RJMLT, aimed")
+MOVES = ("large", "keep", "change", "jump", "uniform jump")
+"""A large step; a small step that keeps the technique; one that changes it; jumps to a technique as the weights have it
+(Bitterli et al. 2017, section 4), and to each alike (ours: another T(i, j) in their eq. 14).
+"""
+METHODS = ("MMLT", "MMLT, any technique", "RJMLT", "RJMLT, uniform jumps")
 
 
 def close(n: int, sigma: float) -> np.ndarray:
@@ -45,7 +47,8 @@ def mixes(n: int, sigma: float, large: float, jump: float) -> dict[str, tuple[di
     """Each method's probabilities of `MOVES`, and the matrix of its changes of technique.
 
     A small step of MMLT proposes a technique that is near in the order of t ("any technique": each alike); one of RJMLT
-    keeps it (Bitterli et al. 2017, section 7.2).
+    keeps it (Bitterli et al. 2017, section 7.2). RJMLT jumps by the weights, as the paper has it; "uniform jumps" are
+    ours.
     """
     mixed = {}
     for name, matrix in ((METHODS[0], close(n, sigma)), (METHODS[1], np.full((n, n), 1 / n))):
@@ -53,7 +56,7 @@ def mixes(n: int, sigma: float, large: float, jump: float) -> dict[str, tuple[di
         mixed[name] = {"large": large, "keep": (1 - large) * kept, "change": (1 - large) * (1 - kept)}, others(matrix)
     small = {"large": large, "keep": 1 - large - jump}
     mixed[METHODS[2]] = {**small, "jump": jump}, others(close(n, sigma))
-    mixed[METHODS[3]] = {**small, "aimed": jump}, others(close(n, sigma))
+    mixed[METHODS[3]] = {**small, "uniform jump": jump}, others(close(n, sigma))
     return mixed
 
 
@@ -79,11 +82,11 @@ def mixed_kernel(sigma: float, mix: Mapping[str, float], matrix: np.ndarray) -> 
         StepAndChange(LargeStep()),
         small,
         StepAndChange(small, TechniqueChange(matrix)),
-        ReversibleJump(),
         AimedJump(),
+        ReversibleJump(),
     )
     mixed = {name: (mix.get(name, 0.0), move) for name, move in zip(MOVES, moves, strict=True)}
-    return Metropolis(Mixture(mixed, seldom=("jump", "aimed")))
+    return Metropolis(Mixture(mixed, seldom=("jump", "uniform jump")))
 
 
 def _pixels(paths: Paths, steps: Step) -> Array:

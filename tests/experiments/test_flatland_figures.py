@@ -7,8 +7,7 @@ import pytest
 import xarray as xr
 
 from experiments.flatland_mmlt import INTEGRATORS, at_equal_rays
-from experiments.flatland_rjmlt import MOVES
-from experiments.support.flatland_chains import close, mixes, others
+from experiments.support.flatland_chains import MOVES, close, mixes, others
 from experiments.support.flatland_shadow import shadow_ray
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import BidirectionalPathTracing
