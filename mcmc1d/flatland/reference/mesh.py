@@ -191,10 +191,10 @@ def _graded(
     offset = np.array(near).reshape(-1, 2) - geometry.start[k]
     tiny = 1e-9 * geometry.extent
     height, along = offset @ geometry.normal[k], offset @ geometry.tangent[k]
-    seen = height >= -tiny if resolution.shadows else np.zeros(len(offset), bool)
-    height, along = height[seen], along[seen]
     # A T, or a corner: a cut of its own.
     touching = along[np.abs(height) <= tiny]
+    seen = height >= -tiny if resolution.shadows else np.zeros(len(offset), bool)
+    height, along = height[seen], along[seen]
     cuts = _apart(cuts, touching[(touching > tiny) & (touching < geometry.length[k] - tiny)], tiny)
     todo, done = list(itertools.pairwise(cuts)), [cuts[0]]
     while todo:
