@@ -134,7 +134,6 @@ class Films(NamedTuple):
     """Mean deposit of a step after each checkpoint's steps, (checkpoints, chains, pixels)."""
     sums: dict[str, Any]
     """Of the other estimators, over all steps, without the axis of blocks."""
-    kinds: tuple[str, ...]
 
 
 def films(
@@ -154,7 +153,6 @@ def films(
     """
     asked = {"film": EachChain(paths, chains), **estimators}
     total, others, seen, done = 0, {}, [], 0
-    kinds: tuple[str, ...] = ()
     for k, steps in enumerate(checkpoints):
         ran = long_run(
             f"{name}, to {steps}",
@@ -167,12 +165,12 @@ def films(
             estimators=asked,
             start=start,
         )
-        start, done, kinds = ran.state, steps, ran.kinds
+        start, done = ran.state, steps
         total = total + ran.sums["film"][0].T
         seen.append(total / steps)
         new = {name: jax.tree.map(lambda s: s[0], ran.sums[name]) for name in estimators}
         others = new if k == 0 else jax.tree.map(np.add, others, new)
-    return Films(np.stack(seen), others, kinds)
+    return Films(np.stack(seen), others)
 
 
 __all__ = [
