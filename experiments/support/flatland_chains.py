@@ -35,7 +35,8 @@ def close(n: int, sigma: float) -> np.ndarray:
 
     wraps = int(np.ceil(8 * sigma)) + 1
     away = np.arange(-wraps * n, (wraps + 1) * n)  # by how many intervals, unwrapped
-    chances = n * (above((away + 1) / n) - 2 * above(away / n) + above((away - 1) / n))
+    # Far away the differences leave nothing but rounding, of either sign.
+    chances = np.maximum(n * (above((away + 1) / n) - 2 * above(away / n) + above((away - 1) / n)), 0)
     row = chances.reshape(-1, n).sum(0)
     row = (row + np.roll(row[::-1], 1)) / 2
     return row[(np.arange(n) - np.arange(n)[:, None]) % n] / row.sum()
