@@ -12,11 +12,9 @@ lamps, which the paper does not give.
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -26,19 +24,13 @@ from rich.table import Table
 from scipy.stats import ttest_1samp, ttest_ind
 
 import mcmc1d
+from experiments.support.cmlt_cache_rays import coherent, mlt, radiosity, target
 from experiments.support.framework import Claim
 from experiments.support.segment_cache import Grid, hit_rates
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import among
 from mcmc1d.flatland import Paths
-from mcmc1d.flatland.bidirectional import Bidirectional
-from mcmc1d.flatland.integrators import MLT
-from mcmc1d.flatland.mutations import VEACH, BidirectionalMutation, LensPerturbation
 from mcmc1d.flatland.scenes import scene
-from mcmc1d.metropolis import accept
-from mcmc1d.moves import Move, MultipleTry, SmallStep
-from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Key
 
 SOURCE = "Segovia et al. 2007, sec. 7.3, table 1"
 
@@ -65,7 +57,7 @@ class Config:
     """Camera paths of a tile."""
     virtual: int = 4
     """Light paths that each tile is joined to, before the next."""
-    runs: int = 96
+    runs: int = 64
 
 
 PROFILES = {"quick": Config(), "paper": Config(scenes="office lab box", runs=192)}
@@ -79,15 +71,18 @@ TABLE_1 = {"MLT": (0.55, 0.61, 0.62), "CMLT": (0.87, 0.92, 0.99), "IR": (0.87, 0
 """The paper's, of its diffuse office of 35,000 triangles."""
 MOST_OF_MLT = 0.79
 """Of MLT's requests by 128 triangles in the paper: the most of its four scenes."""
+_TOGETHER = 32
+"""Runs that share the search for exact starts, which takes longer than a run."""
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The hit rates of every run."""
     names = config.scenes.split()
-    points = [(name, k, asdict(config), seed) for name in names for k in range(config.runs)]
-    found = np.array(progress.map("runs", measure, points))
-    shape = len(names), config.runs, len(ALGORITHMS), len(SIZES) + 1
-    found = found.reshape(shape)
+    firsts = range(0, config.runs, _TOGETHER)
+    points = [(name, first, asdict(config), seed) for name in names for first in firsts]
+    parts = progress.map("runs", measure, points)
+    found = np.array([row for part in parts for row in part])
+    found = found.reshape(len(names), config.runs, len(ALGORITHMS), len(SIZES) + 1)
     return xr.Dataset(
         {
             "hits": (("scene", "run", "algorithm", "size"), found[..., :-1]),
@@ -98,127 +93,29 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     )
 
 
-def measure(name: str, k: int, fields: dict[str, Any], seed: int) -> list[list[float]]:
-    """Of each method the hit rates by size, and how many segments a ray is tested against."""
+def measure(name: str, first: int, fields: dict[str, Any], seed: int) -> list[list[list[float]]]:
+    """Of some runs and each method the hit rates by size, and how many segments a ray is tested against."""
     config = Config(**fields)
     shown = scene(name)
     paths, grid = Paths(shown, config.edges), Grid(shown, config.cells)
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), sum(name.encode())), k)
-    rows = []
-    for own, rays_of in zip(jax.random.split(key, len(ALGORITHMS)), (_alone, _packets, _tiles), strict=True):
-        rays = rays_of(own, paths, config)
-        tests = [grid.tested(ray) for ray in rays[np.isfinite(rays).all((1, 2))]]
-        rates = hit_rates((segment for each in tests for segment in each), SIZES)
-        rows.append([*rates.tolist(), float(np.mean([len(each) for each in tests]))])
-    return rows
-
-
-def _alone(key: Key, paths: Paths, config: Config) -> np.ndarray:
-    """The rays of a chain's proposals, one path after the other from the sensor on: (rays, 2, 2)."""
-    target, (first, second) = MLT().target(paths), jax.random.split(key)
-    start = mcmc1d.exact_start(first, target, 1)
-    return np.asarray(_proposed(second, target, paths, VEACH, start, config.paths)).reshape(-1, 2, 2)
-
-
-def _traced(paths: Paths, old: Array, new: Array, possible: Array) -> Array:
-    """The edges of a new path that a mutation traces, (edges, 2, 2); NaN in place of those that it keeps."""
-    before, after = paths.vertices(old), paths.vertices(new)
-    kept = jnp.all(jnp.abs(before - after) < _SAME, axis=1)
-    edges = jnp.stack([after[:-1], after[1:]], axis=1)
-    return jnp.where(((kept[:-1] & kept[1:]) | ~possible)[:, None, None], jnp.nan, edges)
-
-
-_SAME = 1e-4
-"""Vertices nearer to each other than that, in scenes some units wide, are one that was kept: float32 rounds it."""
-
-
-@eqx.filter_jit
-def _proposed(key: Key, target: Multiplexed, paths: Paths, move: Move, start: State, steps: int) -> Array:
-    """The edges traced for every proposal, (steps, edges, 2, 2)."""
-
-    def step(state: State, key: Key) -> tuple[State, Array]:
-        w = jax.random.uniform(key, (move.dim_w(target) + 1,), state.u.dtype)
-        proposal = move.propose(target, state, w[:-1])
-        there = target.evaluate(proposal.state).seen.x
-        # A mutation that does not apply to the path traces nothing.
-        rays = _traced(paths, state.seen.x, there, proposal.log_det > -jnp.inf)
-        return accept(target, state, proposal, w[-1], "plain").state, rays
-
-    return jax.lax.scan(step, jax.tree.map(lambda leaf: leaf[0], start), jax.random.split(key, steps))[1]
-
-
-def _packets(key: Key, paths: Paths, config: Config) -> np.ndarray:
-    """The rays of sub-chains of multiple-try: a packet's first edges in the order of the film, then its second ones."""
-    target, each = MLT().target(paths), 2 * config.tries - 1
-    mains = -(-config.paths // (each * config.length))
-    first, second = jax.random.split(key)
-    start = mcmc1d.exact_start(first, target, 1)
-    inner = MultipleTry(LensPerturbation(SmallStep(config.sigma)), config.tries)
-    moves = _Moves(BidirectionalMutation(), inner, config.length)
-    # (mains, packets, families, tries, edges, 2, 2): edge by edge within a family.
-    rays = np.asarray(_packed(second, target, paths, moves, start, mains))
-    return np.moveaxis(rays, 4, 3).reshape(-1, 2, 2)
-
-
-class _Moves(NamedTuple):
-    main: Move
-    inner: MultipleTry
-    length: int
-
-
-@eqx.filter_jit
-def _packed(key: Key, target: Multiplexed, paths: Paths, moves: _Moves, start: State, mains: int) -> Array:
-    """The edges traced for candidates and competitors, (mains, length, 2, tries, edges, 2, 2)."""
-    main, inner, length = moves
-
-    def packet(state: State, key: Key) -> tuple[State, Array]:
-        w = jax.random.uniform(key, (inner.dim_w(target) + 1,), state.u.dtype)
-        proposal, looked_at = inner.propose_packet(target, state, w[:-1])
-        families = []
-        for family in (looked_at.candidates, looked_at.competitors):
-            order = jnp.argsort(jax.vmap(paths.film)(family.seen.x))
-            # All keep the same end of the path; what lies under a horizon, or in a shadow, is traced as well.
-            possible = jnp.isfinite(family.seen.x).all(-1)
-            rays = jax.vmap(partial(_traced, paths, state.seen.x))(family.seen.x, possible)
-            families.append(rays[order])
-        return accept(target, state, proposal, w[-1], "plain").state, jnp.stack(families)
-
-    def step(state: State, key: Key) -> tuple[State, Array]:
-        own, rest = jax.random.split(key)
-        w = jax.random.uniform(own, (main.dim_w(target) + 1,), state.u.dtype)
-        state = accept(target, state, main.propose(target, state, w[:-1]), w[-1], "plain").state
-        return state, jax.lax.scan(packet, state, jax.random.split(rest, length))[1]
-
-    return jax.lax.scan(step, jax.tree.map(lambda leaf: leaf[0], start), jax.random.split(key, mains))[1]
-
-
-def _tiles(key: Key, paths: Paths, config: Config) -> np.ndarray:
-    """The rays of instant radiosity: a tile's camera rays, then those to each of its virtual lamps; the next tile.
-
-    Virtual lamps are the last vertices before the camera's own of light paths, whose rays come before all tiles.
-    """
-    films, virtual = config.tiles, config.virtual
-    shared, tile = jax.random.split(key)
-    technique = Bidirectional(paths, (2,))
-    lights = jax.random.uniform(shared, (virtual, technique.dim_u - 1))
-    passes = -(-config.paths // (config.camera * virtual))
-    places = jax.random.randint(tile, (passes,), 0, films)
-    film = (places[:, None] + (jnp.arange(config.camera) + 0.5) / config.camera) / films
-    points = np.asarray(_joined(technique, paths, film, lights))  # passes, camera, virtual, vertices, 2
-    to_lamps = points[0, 0, :, 2:]
-    rays = [np.stack([to_lamps[:, 1:], to_lamps[:, :-1]], axis=2).reshape(-1, 2, 2)[::-1]]
-    for one in points:
-        rays.append(one[:, 0, :2])
-        rays += [one[:, k, 1:3] for k in range(virtual)]
-    return np.concatenate(rays)
-
-
-@eqx.filter_jit
-def _joined(technique: Bidirectional, paths: Paths, film: Array, lights: Array) -> Array:
-    def one(film: Array, light: Array) -> Array:
-        return paths.vertices(technique.forward(jnp.zeros((), jnp.int32), jnp.concatenate([film[None], light]))[0])
-
-    return jax.vmap(jax.vmap(jax.vmap(one, (None, 0)), (0, None)), (0, None))(film, lights)
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), sum(name.encode())), first)
+    begin, *keys = jax.random.split(key, 1 + min(_TOGETHER, config.runs - first))
+    starts = mcmc1d.exact_start(begin, target(paths), 2 * len(keys))
+    found = []
+    for k, own in enumerate(keys):
+        single, packed, tiled = jax.random.split(own, len(ALGORITHMS))
+        one, other = (jax.tree.map(lambda leaf, n=n: leaf[n], starts) for n in (2 * k, 2 * k + 1))
+        rows = []
+        for rays in (
+            mlt(single, paths, one, config.paths),
+            coherent(packed, paths, other, config.paths, config.tries, config.length, config.sigma),
+            radiosity(tiled, paths, config.paths, config.tiles, config.camera, config.virtual),
+        ):
+            tests = [grid.tested(ray) for ray in rays[np.isfinite(rays).all((1, 2))]]
+            rates = hit_rates((segment for each in tests for segment in each), SIZES)
+            rows.append([*rates.tolist(), float(np.mean([len(each) for each in tests]))])
+        found.append(rows)
+    return found
 
 
 def draw(data: xr.Dataset) -> Figure:

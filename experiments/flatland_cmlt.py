@@ -5,8 +5,8 @@ lens sub-path EDD traced again. Not as there: a film of 32 pixels in the plane, 
 is traced again is the whole path but for the lamp's point; 256 paths a pixel and chain, where the paper has about 20
 mutations; a step around the film's ends, where the paper's is clamped; a main chain of small and large steps in primary
 space instead of bidirectional mutations; images scaled by the exact power instead of an estimate of it; sizes from
-0.3 % of the screen to all of it, of which the paper shows three; and sub-chains of four packets, of
-which it does not say how long they are. There errors are seen, here they are measured against the exact image.
+0.3 % of the screen to all of it, of which the paper shows three; and sub-chains of four packets, of which it does not
+say how long they are. There errors are seen, here they are measured against the exact image.
 """
 
 from dataclasses import dataclass

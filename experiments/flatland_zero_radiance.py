@@ -147,7 +147,7 @@ def draw(data: xr.Dataset) -> Figure:
         panel.set_yticks(range(0, 101, 20))
         panel.minorticks_off()
     for row in axes:
-        row[0].set_ylabel("samples without light (%); bars: 2 s.e.")
+        row[0].set_ylabel("dark samples (%); bars: 2 s.e.")
     figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(COLORS))
     for panel in axes.flat[data.sizes["edges"] :]:
         panel.axis("off")
@@ -189,7 +189,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         claims.append(
             Claim(
                 f"plane.zero-radiance-{name}",
-                f"In hard scenes fewer of MMLT's samples carry no radiance than of {who}'s",
+                f"In hard scenes fewer of MMLT's samples carry no radiance than of those of {who}",
                 SOURCE,
                 among({scene: _fewer((other.dark - ours.dark).sel(scene=scene), far * noise) for scene in hard}),
                 "holds",
