@@ -121,7 +121,7 @@ def measure(name: str, first: int, fields: dict[str, Any], seed: int) -> list[li
 def draw(data: xr.Dataset) -> Figure:
     """Hit rates by the cache's size, a panel a scene; beside the office's the paper's."""
     n = data.sizes["scene"]
-    figure, axes = plt.subplots(1, n, figsize=(3.4 if n == 1 else 7.0, 2.4), squeeze=False, sharey=True)
+    figure, axes = plt.subplots(1, n, figsize=(3.4 if n == 1 else 7.0, 2.6), squeeze=False, sharey=True)
     place = np.arange(len(SIZES))
     for panel, name in zip(axes[0], data.scene.to_numpy(), strict=True):
         for who, color, mark, by in zip(ALGORITHMS, ("C1", "C0", "0.4"), "s^o", (-0.06, 0, 0.06), strict=True):
@@ -145,11 +145,11 @@ def draw(data: xr.Dataset) -> Figure:
         panel.set(xlabel="segments in the cache", title=f"{name}, {segments} segments", ylim=(None, 101))
     axes[0, 0].set_ylabel("hits (%); bars: 2 s.e.")
     axes[0, 0].plot([], [], ":", color="0.2", marker="o", markersize=3, markerfacecolor="none", label=_PAPERS)
-    axes[0, 0].legend(loc="lower right")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2 if n == 1 else 4)
     return figure
 
 
-_PAPERS = "the paper's office, 35,000 triangles"
+_PAPERS = "the paper's (35,000 triangles)"
 
 
 def table(data: xr.Dataset) -> Table:
