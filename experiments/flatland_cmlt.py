@@ -2,7 +2,7 @@
 
 As there: packets of 256 jittered candidates, as many competitors, a Gaussian step on the screen alone, and only the
 lens sub-path EDD traced again. Not as there: a film of 32 pixels in the plane, light of two edges alone, so that what
-is traced again is the whole path but for the lamp's point; 256 paths a pixel and chain, where the paper has about 20
+is traced again is the whole path but for the lamp's point; 128 paths a pixel and chain, where the paper has about 20
 mutations; a step around the film's ends, where the paper's is clamped; a main chain of small and large steps in primary
 space instead of bidirectional mutations; images scaled by the exact power instead of an estimate of it; sizes from
 0.3 % of the screen to all of it, of which the paper shows three; and sub-chains of four packets, of which it does not
@@ -51,17 +51,17 @@ class Config:
     """Candidates of a packet."""
     length: int = 4
     """Packets of a sub-chain."""
-    paths: int = 8192
+    paths: int = 4096
     """That each chain traces, candidates, competitors and centres included."""
     main_sigma: float = 0.05
     large: float = 0.3
-    chains: int = 16
+    chains: int = 32
     """Of a run, from exact starts, each of which makes an image: the error is that of one chain's."""
     runs: int = 128
     """Whose spread is the error's own error."""
 
 
-PROFILES = {"quick": Config(), "paper": Config(chains=256)}
+PROFILES = {"quick": Config(), "paper": Config(chains=512)}
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
