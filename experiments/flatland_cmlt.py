@@ -61,7 +61,7 @@ class Config:
     """Whose spread is the error's own error."""
 
 
-PROFILES = {"quick": Config(), "paper": Config(chains=512)}
+PROFILES = {"quick": Config(), "paper": Config(chains=128)}
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
