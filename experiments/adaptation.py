@@ -294,7 +294,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         Claim(
             "adaptation.not-fading",
             "A step size may go on adapting with a constant gain",
-            f"{SOURCE}; {THEORY}",
+            f"ours; {THEORY}",
             verdict(final[KINDS[0], "not fading"] < 1e-4 and p["not fading"] >= level),
             "fails",
             f"ring: TV {final[KINDS[0], 'not fading']:.4f}; line: TV {distance['not fading']:.4f}, "
@@ -313,7 +313,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         Claim(
             "adaptation.large-not-fading",
             "A large-step probability may go on adapting",
-            f"{SOURCE}; {THEORY}",
+            f"ours; {THEORY}",
             verdict(final[KINDS[1], "not fading"] < 1e-4),
             "fails",
             f"ring: TV {final[KINDS[1], 'not fading']:.4f}",

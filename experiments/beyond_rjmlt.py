@@ -320,6 +320,12 @@ def judge(data: xr.Dataset) -> list[Claim]:
     best = data.time.min("size").to_numpy()
     fits = best[0, 1] < best[0, 0], best[1, 1] < best[1, 0]
     condition = "holds if the technique matches the target poorly"
+    largest = float(data["size"][-1])
+    ends = [
+        str(name)
+        for name in data.technique.to_numpy()
+        if bool((data.time.sel(technique=name).idxmin("size") == largest).any())
+    ]
     claims.append(
         Claim(
             "beyond.scaled-mixing",
@@ -329,7 +335,9 @@ def judge(data: xr.Dataset) -> list[Claim]:
             condition,
             f"of x, at the best size: {best[0, 0]:.1f} fixed in u, {best[0, 1]:.1f} in x; with p about f, "
             f"{best[1, 0]:.1f} and {best[1, 1]:.1f}",
-            "chain on 600 cells of u, by its fundamental matrix",
+            "chain on 600 cells of u, by its fundamental matrix; "
+            f"{data.sizes['size']} sizes from {float(data['size'][0]):g} to {largest:g}"
+            + (f", the best of them the last with a {' and a '.join(ends)}" if ends else ""),
         )
     )
     return claims

@@ -185,11 +185,12 @@ def draw(data: xr.Dataset) -> Figure:
     middle.set_yscale("symlog", linthresh=5)
     middle.set_yticks([-100, -10, -5, 0, 5], ["-100", "-10", "-5", "0", "5"])
     middle.minorticks_off()
-    middle.set(
-        xlabel="x", ylabel="image / exact - 1 (%)", xlim=(0, 1), ylim=(-200, 8), title="bias, with 3 standard errors"
-    )
-    middle.legend(fontsize=5.5, loc="lower left", bbox_to_anchor=(0, 0.12))
-    right.set(xlabel="x", ylabel="s.d. of a block (%)", xlim=(0, 1), ylim=(0, 11), title="error of each pixel")
+    middle.set(xlabel="x", ylabel="image / exact - 1 (%)", xlim=(0, 1), ylim=(-200, 8), title="bias; bars: 3 s.e.")
+    middle.axhspan(-5, 5, color="0.95", zorder=0)
+    middle.text(0.98, -4.7, "linear in the grey band, logarithmic below", ha="right", va="bottom", fontsize=5)
+    middle.legend(fontsize=5.5, loc="lower left", bbox_to_anchor=(0, 0.05))
+    right.set(xlabel="x", ylabel="s.d. of a block (%)", xlim=(0, 1), title="error of each pixel")
+    right.set_ylim(0, 1.35 * right.get_ylim()[1])
     right.legend(fontsize=5.5, loc="upper center", ncols=2)
     return figure
 

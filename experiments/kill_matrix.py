@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
@@ -64,7 +65,11 @@ SECONDS = 120.0
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
-    """Catch the mutants, let the traps pass, and sweep one mistake's severity."""
+    """Catch the mutants, let the traps pass, and sweep one mistake's severity.
+
+    `caught` is a share of the seeds; of a mutant that contracts must catch, the other layers' entries are of the chain
+    that it is a part of, at one seed, and so 0 or 1.
+    """
     wrong = dict(list(mutants().items())[:: config.every])
     right = dict(list(traps().items())[:: config.every])
     severities = SEVERITIES if config.full else CLAIMED
@@ -161,7 +166,11 @@ def draw(data: xr.Dataset) -> Figure:
         1, 2, figsize=(7.0, 0.115 * len(names) + 0.9), gridspec_kw={"width_ratios": (1.3, 1)}
     )
     order = np.lexsort((names, [list(layers).index(layer) for layer in data.must.to_numpy()]))
-    left.imshow(data.caught.to_numpy()[order], aspect="auto", cmap="Blues", vmin=0, vmax=1.3, interpolation="nearest")
+    # To 1, and in the paler part of the map, on which the squares are seen.
+    shades = ListedColormap(plt.get_cmap("Blues")(np.linspace(0, 0.75, 256)))
+    shown = left.imshow(
+        data.caught.to_numpy()[order], aspect="auto", cmap=shades, vmin=0, vmax=1, interpolation="nearest"
+    )
     must = [list(layers).index(layer) for layer in data.must.to_numpy()[order]]
     left.plot(must, np.arange(len(names)), "s", markersize=3.2, markerfacecolor="none", markeredgecolor="C1")
     left.set_yticks(np.arange(len(names)), [str(name).replace("_", " ") for name in names[order]], fontsize=5)
@@ -169,7 +178,12 @@ def draw(data: xr.Dataset) -> Figure:
     left.set_xticks(np.arange(len(layers)) - 0.5, minor=True)
     left.grid(which="minor", axis="x", color="white")
     left.tick_params(which="both", length=0)
-    left.set_title(f"caught by (share of {int(data.seeds)} seeds; square: must)", fontsize=7)
+    left.set_title("caught by (square: must)", fontsize=7)
+    bar = figure.colorbar(shown, ax=left, orientation="horizontal", aspect=40, pad=0.01)
+    bar.set_label(
+        f"share of {int(data.seeds)} seeds; where contract must,\nof others the verdict on its chain at one seed",
+        fontsize=6,
+    )
     right.axhline(0.99, color="0.8", linewidth=0.6)
     right.plot(data.severity, data.power, "o-", markersize=3)
     right.set(xlabel="ε: MALA's log correction times 1 + ε", ylabel="rejected", ylim=(-0.03, 1.03))

@@ -120,7 +120,6 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
         progress("witnesses", k + 1, len(moves_on_the_line(config.sigma)))
     data["verdict"] = ("witness", [report.verdict.value for report in verdicts.values()])
     data["gap"] = ("witness", [report.gap for report in verdicts.values()])
-    data["first_p"] = ("witness", [report.p_value for report in verdicts.values()])
     shapes = mtm_lambda_shapes.measure(
         jax.random.key(seed),
         LINE,
@@ -191,7 +190,7 @@ def draw(data: xr.Dataset) -> Figure:
             label=name,
         )
     middle.set(xlabel="x", ylabel="law / target's law", ylim=(0.5, 1.5), title="clamped Gaussian's normaliser")
-    middle.legend(fontsize=5.5, ncols=2, loc="upper center")
+    middle.legend(fontsize=5.5, loc="lower center")
     mtm_lambda_shapes.draw(data, right)
     return figure
 

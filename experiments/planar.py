@@ -206,7 +206,9 @@ def draw(data: xr.Dataset) -> Figure:
             limit = float(np.clip(np.ceil(np.nanmax(np.abs(z))), 5, most))
             axis.set_facecolor("0.75")
             shown = axis.imshow(z.T, origin="lower", extent=(0, 1, 0, 1), vmin=-limit, vmax=limit, cmap="RdBu_r")
-            figure.colorbar(shown, ax=axis, label="error / s.e.", shrink=0.9, aspect=25)
+            # Beyond the scale's ends an arrow says so.
+            extend = "both" if np.nanmax(np.abs(z)) > limit else "neither"
+            figure.colorbar(shown, ax=axis, label="error / s.e.", shrink=0.9, aspect=25, extend=extend)
         row[0].set_ylabel(f"{target}\n$x_1$")
     titles = ("exact", "sampled by jumps", "error, right jump", "error, no Jacobian")
     for axis, title in zip(axes[0], titles, strict=True):

@@ -37,7 +37,8 @@ def close(n: int, sigma: float) -> np.ndarray:
 
     wraps = int(np.ceil(8 * sigma)) + 1
     away = np.arange(-wraps * n, (wraps + 1) * n)  # by how many intervals, unwrapped
-    chances = n * (above((away + 1) / n) - 2 * above(away / n) + above((away - 1) / n))
+    # Far away the differences leave nothing but rounding, of either sign.
+    chances = np.maximum(n * (above((away + 1) / n) - 2 * above(away / n) + above((away - 1) / n)), 0)
     row = chances.reshape(-1, n).sum(0)
     row = (row + np.roll(row[::-1], 1)) / 2
     return row[(np.arange(n) - np.arange(n)[:, None]) % n] / row.sum()
@@ -137,7 +138,6 @@ class Films(NamedTuple):
     """Mean deposit of a step after each checkpoint's steps, (checkpoints, chains, pixels)."""
     sums: dict[str, Any]
     """Of the other estimators, over all steps, without the axis of blocks."""
-    kinds: tuple[str, ...]
 
 
 def films(
@@ -157,7 +157,6 @@ def films(
     """
     asked = {"film": EachChain(paths, chains), **estimators}
     total, others, seen, done = 0, {}, [], 0
-    kinds: tuple[str, ...] = ()
     for k, steps in enumerate(checkpoints):
         ran = long_run(
             f"{name}, to {steps}",
@@ -170,12 +169,12 @@ def films(
             estimators=asked,
             start=start,
         )
-        start, done, kinds = ran.state, steps, ran.kinds
+        start, done = ran.state, steps
         total = total + ran.sums["film"][0].T
         seen.append(total / steps)
         new = {name: jax.tree.map(lambda s: s[0], ran.sums[name]) for name in estimators}
         others = new if k == 0 else jax.tree.map(np.add, others, new)
-    return Films(np.stack(seen), others, kinds)
+    return Films(np.stack(seen), others)
 
 
 __all__ = [

@@ -50,8 +50,8 @@ def witnessed(exact: bool, verified: bool | None) -> str:
 
 
 def among(true: dict[str, bool] | dict[str, bool | None]) -> str:
-    """What to say of what was looked at in several scenes: "open" where any of them (None) did not decide it."""
-    if None in true.values():
+    """What to say of what was looked at in several scenes: "open" where any (None) did not decide it, or none was."""
+    if not true or None in true.values():
         return "open"
     if all(true.values()) or not any(true.values()):
         return verdict(all(true.values()))

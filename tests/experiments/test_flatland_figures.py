@@ -15,7 +15,7 @@ from mcmc1d.flatland.scenes import scene
 from mcmc1d.state import State
 
 
-@pytest.mark.parametrize(("n", "sigma"), [(2, 0.05), (5, 0.05), (12, 0.05), (4, 0.7)])
+@pytest.mark.parametrize(("n", "sigma"), [(2, 0.05), (5, 0.05), (6, 0.01), (12, 0.05), (4, 0.7)])
 def test_a_small_step_proposes_techniques_as_often_as_its_floor_does(n, sigma):
     """Against a million numbers that step: 1e-8 false alarms in n entries (6 s.e.), which see 0.3 / sqrt(size / n)."""
     rng, size = np.random.default_rng(1), 10**6
@@ -26,6 +26,7 @@ def test_a_small_step_proposes_techniques_as_often_as_its_floor_does(n, sigma):
     matrix = close(n, sigma)
     assert np.all(np.abs(matrix[0] - measured) < 6 * np.sqrt(matrix[0] * (1 - matrix[0]) / first.sum()) + 1e-9)
     assert np.array_equal(matrix, matrix.T)
+    assert matrix.min() >= 0
     assert np.allclose(matrix.sum(1), 1, atol=1e-12)
     # A twin that must fail: all techniques alike.
     if sigma < 0.5:

@@ -36,6 +36,10 @@ def test_scenes_that_differ_are_named_and_one_that_is_open_opens_all():
     assert among({"box": True, "door": None}) == "open"
 
 
+def test_what_was_looked_at_nowhere_is_open():
+    assert among({}) == "open"
+
+
 def test_an_interval_decides_only_what_it_leaves_out():
     assert under(1, (0.8, 0.7, 0.9)) is True
     assert under(1, (0.8, 0.7, 0.9), (1.2, 1.1, 1.3)) is False
