@@ -42,7 +42,7 @@ class Config:
     large: float = 0.1
     spent_on_b: float = 0.2
     """Of a chain's rays, where b is not known."""
-    runs: int = 256
+    runs: int = 512
     """Runs of one chain for each path length."""
     first: int = 64
     """Mutations by MMLT of each length, after whose rays images are looked at first."""
@@ -53,7 +53,7 @@ class Config:
 
 PROFILES = {
     "quick": Config(),
-    "paper": Config(scenes=f"{GLOSSY_DOOR} glossy_corner", shortest=3, longest=6, runs=512, doublings=9, samples=2**23),
+    "paper": Config(scenes=f"{GLOSSY_DOOR} glossy_corner", shortest=3, longest=6, runs=256, doublings=9, samples=2**23),
 }
 
 COMPARABLE = 1.5

@@ -108,13 +108,16 @@ class Rivals:
         Errors against rays are of images to which that integral is known; that of the maximum as well as is estimated.
         """
         pixels, n = float(len(self.reference)), self.every.n_techniques
-        rows, found = [], {}
+        rows, found, integrals = [], {}, {}
         for k, (who, chain) in enumerate(self._chains(jax.random.fold_in(key, 2 * len(CHAINS))).items()):
             own, of_b = (jax.random.fold_in(key, 2 * k + part) for part in (0, 1))
-            b = bootstrap(of_b, chain.target, self.samples, np.inf)
+            if id(chain.target) not in integrals:  # that of all techniques is several chains'
+                size = int(self.samples * self.paths.edges / chain.rays_of_b)
+                integrals[id(chain.target)] = bootstrap(of_b, chain.target, size, np.inf)
+            b = integrals[id(chain.target)]
             steps = np.maximum(1, np.round(self.rays / chain.rays)).astype(int).tolist()
             estimators: dict[str, Estimator] = {"lit": Lit(self.runs)}
-            if who == METHODS[0]:
+            if who in METHODS:  # of both, which are one program then
                 estimators["usage"] = Usage(self.paths, self.runs, n)
             if who == CHAINS[0]:
                 estimators["placed"] = Placed(self.paths, n)
