@@ -56,6 +56,9 @@ PROFILES = {
     "paper": Config(scenes=f"{GLOSSY_DOOR} glossy_corner", shortest=3, longest=6, runs=256, doublings=9, samples=2**23),
 }
 
+LONG = True
+"""Its quick profile takes more than a minute: of several experiments it is begun early."""
+
 COMPARABLE = 1.5
 """Errors whose ratio lies between this and its reciprocal are called comparable; ours, for the paper has no number."""
 

@@ -1,10 +1,14 @@
 """Verdicts of MMLT's figures in the plane, of made-up errors: each can be had, and its twin fails."""
 
+from types import SimpleNamespace
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
 
 from experiments import flatland_mmlt, flatland_regions
+from experiments.support.flatland_chains import Placed
 from experiments.support.flatland_equal import WHOLE, critical, mean_ratio, root, squared
 from experiments.support.flatland_glossy import GLOSSY_DOOR, known, marked
 from experiments.support.flatland_rivals import CHAINS, INTEGRATORS
@@ -176,6 +180,21 @@ def test_the_critical_value_is_student_s_of_all_tests():
     data = made_up()
     assert critical(data, 1) == pytest.approx(4.05, abs=0.01)
     assert critical(data, 100) > critical(data, 1)
+
+
+def test_samples_of_pssmlt_are_counted_lit_or_not_and_on_the_film_only():
+    """Two techniques and three chains: current u with 1 - a, proposed with a; what is not seen, at film 0, is left."""
+    paths = SimpleNamespace(
+        sensor=SimpleNamespace(pixels=4), film=lambda x: x[0], pixel=lambda x: (4 * x[0]).astype(jnp.int32)
+    )
+    film = jnp.array([[0.1, 0.3, 0.6], [0.1, 0.1, 0.0], [0.9, 0.3, 0.6], [0.1, 0.9, 0.9]])
+    index = jnp.array([[0] * 3, [1] * 3] * 2, jnp.int32)
+    steps = SimpleNamespace(
+        deposits=SimpleNamespace(x=film[:, None], index=index),
+        info=SimpleNamespace(acceptance=jnp.array([[0.25, 0.5, 0.0]])),
+    )
+    counted = np.asarray(Placed(paths, 2).update(jnp.zeros((2, 4)), steps))
+    assert np.allclose(counted, [[0.75, 1.0, 1.0, 0.25], [0.75 + 0.25 + 0.5, 0.0, 0.0, 0.5]])
 
 
 def test_the_glossy_door_is_the_door_with_two_glossy_walls():
