@@ -107,6 +107,7 @@ def draw(data: xr.Dataset) -> Figure:
         figure.colorbar(ScalarMappable(norm, "cividis"), ax=row[4], label="% of all", fraction=0.12, aspect=12)
     for panel, label in zip(axes[-1], ("rays", "technique s,t", "pixel", "pixel", "pixel"), strict=True):
         panel.set_xlabel(label)
+    axes[0, 0].set_title(f"b from {float(data.spent_on_b):.0%} of a chain's rays")
     axes[0, 1].set_title(f"paths of {int(data.edges[-1])} edges")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     more, names = axes[0, 1].get_legend_handles_labels()

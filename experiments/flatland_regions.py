@@ -82,15 +82,16 @@ def draw(data: xr.Dataset) -> Figure:
     for k, row in enumerate(axes):
         here = data.isel(scene=k)
         pixel, truth = np.arange(data.sizes["pixel"]), here.reference.sum("edges")
-        for part, color in zip(PARTS, ("C2", "C4"), strict=True):
-            mine = here.member.sel(part=part).to_numpy()
-            row[0].bar(pixel[mine], truth[mine], 0.9, color=color, label=part)
-        row[0].bar(pixel, np.where(here.member.sel(part=list(PARTS)).any("part"), 0, truth), 0.9, color="0.85")
-        row[0].set(ylabel=f"{here.scene.item()}\nradiance")
-        row[0].legend(loc="upper left", title="pixels that see")
+        seen = [here.member.sel(part=part).to_numpy() for part in PARTS]
+        for mine, color, label in zip(
+            (*seen, ~np.any(seen, axis=0)), ("C4", "C5", "0.8"), ("gloss only", "no gloss", "both"), strict=True
+        ):
+            row[0].bar(pixel[mine], truth[mine], 0.9, color=color, label=label)
+        row[0].set(ylabel=f"{here.scene.item()}\nradiance", ylim=(0, 1.25 * float(truth.max())))  # room for the legend
+        row[0].legend(loc="upper left", title="what a pixel sees", title_fontsize=6, alignment="left", ncols=3)
         for panel, part in zip(row[1:], PARTS, strict=True):
             draw_errors(panel, *squared(here, part, b_known=True))
-            panel.set(ylabel="RMS error (% of the part's mean)", title=f"{part} pixels" if k == 0 else "")
+            panel.set(ylabel="RMS error (% of the part's mean)", title=f"{part} pixels, b known" if k == 0 else "")
     for panel, label in zip(axes[-1], ("pixel", "rays", "rays"), strict=True):
         panel.set_xlabel(label)
     handles, labels = axes[0, 1].get_legend_handles_labels()
