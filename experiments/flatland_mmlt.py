@@ -2,10 +2,11 @@
 
 Where it differs from the paper. Scenes are walls in the plane, seen by 16 pixels: `glossy_door` stands for figure 1
 and, with `glossy_corner` (paper profile), for the bathroom of figure 4; `door` for figure 9; `mirror_caustic` is ours.
-Work is counted in rays, not in minutes. Paths have 4 edges (paper profile: 3 to 6) where the paper has up to eight
-bounces; figure 5 shows the longest, 4 edges (6), where the paper's are "of length six". Runs are of one chain for each
-length. Original MLT has the mutations and the shares of `MLT`, which were not tuned for a scene as the paper's were.
-PSSMLT is Alg. 1's, with the maximum; with the sum, and path and light tracing, it is ours.
+Two walls of `glossy_door` are glossy, with an exponent of 20, where the paper's are "highly glossy". Work is counted in
+rays, not in minutes. Paths have 4 edges (paper profile: 3 to 6) where the paper has up to eight bounces; figure 5 shows
+the longest, 4 edges (6), where the paper's are "of length six". Runs are of one chain for each length. Original MLT has
+the mutations and the shares of `MLT`, which were not tuned for a scene as the paper's were. PSSMLT is Alg. 1's, with
+the maximum; with the sum, and path and light tracing, it is ours.
 """
 
 from dataclasses import asdict, dataclass

@@ -8,6 +8,11 @@ GLOSSY = (GLOSSY_DOOR, "glossy_corner")
 ALL = ("door", *GLOSSY)
 """What the paper compares MMLT with PSSMLT on."""
 LOWER = "; lower in the paper"
+AGAINST = "fails"
+"""Expected of what the plane has shown against the paper, or theory has no word on: a change of it is news.
+
+A random path of 4 edges finds light in 7 % of cases behind the door, and there is little that only a chain would find.
+"""
 
 
 def _lower(name: str, where: str, rivals: str | tuple[str, ...], source: str, scenes: tuple[str, ...], expected: str,
@@ -21,8 +26,8 @@ def _lower(name: str, where: str, rivals: str | tuple[str, ...], source: str, sc
 RIVALRIES = (
     _lower("plane.mmlt-against-pssmlt", "", "PSSMLT, max", f"{SOURCE}, fig. 1, 4, 9", ALL, "holds", LOWER),
     _lower("plane.mmlt-against-pssmlt-sum", "", "PSSMLT, sum", f"ours; {SOURCE} has the maximum", ALL, "holds"),
-    _lower("plane.mmlt-against-bdpt", "", "BDPT", f"{SOURCE}, fig. 4", GLOSSY, "holds", LOWER, b_known=False),
-    _lower("plane.mmlt-against-mlt", "With gloss ", "MLT", f"{SOURCE}, fig. 1, 4", GLOSSY, "holds", LOWER),
+    _lower("plane.mmlt-against-bdpt", "", "BDPT", f"{SOURCE}, fig. 4", GLOSSY, AGAINST, LOWER, b_known=False),
+    _lower("plane.mmlt-against-mlt", "With gloss ", "MLT", f"{SOURCE}, fig. 1, 4", GLOSSY, AGAINST, LOWER),
     Rivalry(
         "plane.mmlt-against-mlt-door",
         "Without gloss original MLT's error at equal rays is lower than MMLT's",
@@ -40,7 +45,7 @@ RIVALRIES = (
         ("PT", "LT"),
         "ours",
         (*ALL, "mirror_caustic"),
-        "fails",
+        AGAINST,
         b_known=False,
     ),
 )
