@@ -9,10 +9,7 @@ ALL = ("door", *GLOSSY)
 """What the paper compares MMLT with PSSMLT on."""
 LOWER = "; lower in the paper"
 AGAINST = "fails"
-"""Expected of what the plane has shown against the paper, or theory has no word on: a change of it is news.
-
-A random path of 4 edges finds light in 7 % of cases behind the door, and there is little that only a chain would find.
-"""
+"""Expected of what the plane has shown against the paper, and where theory has no word: a change of it is news."""
 
 
 def _lower(name: str, where: str, rivals: str | tuple[str, ...], source: str, scenes: tuple[str, ...], expected: str,
