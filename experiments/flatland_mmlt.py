@@ -83,7 +83,7 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[st
 
 
 def draw(data: xr.Dataset) -> Figure:
-    """A row a scene: error against rays; the techniques' contributions and samples, all together and by pixel."""
+    """A row a scene: error against rays, in bands of 95 %; what techniques contribute and sample, by pixel too."""
     rows = data.sizes["scene"]
     figure, axes = plt.subplots(
         rows, 5, figsize=(7.0, 0.6 + 1.45 * rows), squeeze=False, width_ratios=(3.2, 2.6, 1.9, 1.9, 1.9)

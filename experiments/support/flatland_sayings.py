@@ -12,8 +12,17 @@ AGAINST = "fails"
 """Expected of what the plane has shown against the paper, and where theory has no word: a change of it is news."""
 
 
-def _lower(name: str, where: str, rivals: str | tuple[str, ...], source: str, scenes: tuple[str, ...], expected: str,
-           note: str = "", *, b_known: bool = True) -> Rivalry:  # fmt: skip
+def _lower(
+    name: str,
+    where: str,
+    rivals: str | tuple[str, ...],
+    source: str,
+    scenes: tuple[str, ...],
+    expected: str,
+    note: str = "",
+    *,
+    b_known: bool = True,
+) -> Rivalry:
     """MMLT's error is said to be lower."""
     higher = (rivals,) if isinstance(rivals, str) else rivals
     statement = f"{where}MMLT's error at equal rays is lower than that of {' and '.join(higher)}"

@@ -118,7 +118,7 @@ def _dataset(found: dict[str, Any]) -> xr.Dataset:
 
 
 STYLES: dict[str, dict[str, Any]] = {
-    "PT": {"color": "C3", "linestyle": ":", "marker": "x"},
+    "PT": {"color": "C3", "linestyle": ":", "marker": "x", "zorder": 3},
     "LT": {"color": "0.55", "linestyle": "--", "marker": "+"},
     "BDPT": {"color": "black", "linestyle": "-"},
     "PSSMLT, sum": {"color": "C1", "linestyle": "-"},
