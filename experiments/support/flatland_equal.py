@@ -41,7 +41,7 @@ def squared(here: xr.Dataset, part: str = WHOLE, *, b_known: bool = False) -> tu
     return rays.sum("edges").to_numpy(), total.transpose("integrator", "budget", "run")
 
 
-def root(each: np.ndarray, miss: float = 0.05) -> Ratio:
+def root(each: np.ndarray, miss: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The root of the mean over the last axis, and its interval: of the logarithm, which errs by sem / mean."""
     middle = each.mean(-1)
     width = student.isf(miss / 2, each.shape[-1] - 1) * sem(each, axis=-1) / middle
