@@ -56,4 +56,4 @@ RIVALRIES = (
     ),
 )
 
-__all__ = ["RIVALRIES", "SOURCE"]
+__all__ = ["AGAINST", "RIVALRIES", "SOURCE"]
