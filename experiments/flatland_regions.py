@@ -88,7 +88,9 @@ def draw(data: xr.Dataset) -> Figure:
         ):
             row[0].bar(pixel[mine], truth[mine], 0.9, color=color, label=label)
         row[0].set(ylabel=f"{here.scene.item()}\nradiance", ylim=(0, 1.25 * float(truth.max())))  # room for the legend
-        row[0].legend(loc="upper left", title="what a pixel sees", title_fontsize=6, alignment="left", ncols=3)
+        row[0].legend(
+            loc="upper left", title="what a pixel sees", title_fontsize=6, alignment="left", ncols=3, columnspacing=1.0
+        )
         for panel, part in zip(row[1:], PARTS, strict=True):
             draw_errors(panel, *squared(here, part, b_known=True))
             panel.set(ylabel="RMS error (% of the part's mean)", title=f"{part} pixels, b known" if k == 0 else "")

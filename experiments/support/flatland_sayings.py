@@ -45,15 +45,7 @@ RIVALRIES = (
         b_known=True,
         note=LOWER,
     ),
-    _lower(
-        "plane.mmlt-against-pt-lt",
-        "",
-        ("PT", "LT"),
-        "ours",
-        (*ALL, "mirror_caustic"),
-        AGAINST,
-        b_known=False,
-    ),
+    _lower("plane.mmlt-against-pt-lt", "", ("PT", "LT"), "ours", ALL, AGAINST, b_known=False),
 )
 
 __all__ = ["AGAINST", "RIVALRIES", "SOURCE"]
