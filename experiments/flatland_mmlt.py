@@ -177,7 +177,7 @@ def _exact(data: xr.Dataset) -> Claim:
         verdict((True if sharp and seen > far else None) if right else False),
         "holds",
         f"{worst:.1f} standard errors at most in a pixel, {float(of_mean.max()):.1f} in the mean; PSSMLT, max times b "
-        f"is {seen:.0f} off in {twin.scene[twin.argmax()].item()}",
+        f"is {seen:.0f} off in {twin.idxmax('scene').item()}",
         f"{far:.1f} s.e. (t of {int(data.runs)} runs, 1e-4 of {value.size + mean_noise.size} tests); sees in the worst "
         f"pixel, of it or of the image's mean where that is brighter: {dull}; in the mean "
         f"{float(of_means.max()):.1%}; open where a pixel's is over "
