@@ -115,6 +115,26 @@ class Usage(Estimator):
         return each, film.at[where].add(deposits.weight, mode="promise_in_bounds")
 
 
+class Placed(Estimator):
+    """PSSMLT's samples by technique and pixel, (techniques, pixels), lit or not: each of the current u counts as one.
+
+    What lies beside the film is left out.
+    """
+
+    paths: Paths
+    techniques: int = eqx.field(static=True)
+
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Float[Array, "n pixels"]:
+        return jnp.zeros((self.techniques, self.paths.sensor.pixels), dtype)
+
+    def update(self, sums: Float[Array, "n pixels"], steps: Step) -> Float[Array, "n pixels"]:
+        deposits, accepted = steps.deposits, steps.info.acceptance[0]
+        film = jax.vmap(jax.vmap(self.paths.film, in_axes=-1))(deposits.x)
+        current = jnp.arange(len(film))[:, None] < self.techniques
+        weight = jnp.where(film > 0, jnp.where(current, 1 - accepted, accepted), 0)  # 0 is what is not seen
+        return sums.at[deposits.index, _pixels(self.paths, steps)].add(weight, mode="promise_in_bounds")
+
+
 class Lit(Estimator):
     """Of each chain, the share of the samples made for proposals that bring light: sums of shape (chains,).
 
@@ -182,6 +202,7 @@ __all__ = [
     "MOVES",
     "Films",
     "Lit",
+    "Placed",
     "Usage",
     "close",
     "films",

@@ -1,7 +1,8 @@
 """What every integrator of flatland does with one scene and path length: its error after so many rays, by technique."""
 
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,21 +10,34 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import sem
 
-from experiments.support.flatland_chains import METHODS, Lit, Usage, close, films, multiplexed_kernel
+from experiments.support.flatland_chains import METHODS, Lit, Placed, Usage, close, films, multiplexed_kernel
 from mcmc1d.chain import exact_start
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
+from mcmc1d.flatland.integrators import MLT, Sums
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT
-from mcmc1d.flatland.sampling import Sums
+from mcmc1d.flatland.sampling import bootstrap
+from mcmc1d.metropolis import Kernel
 from mcmc1d.numerics import cast, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
 
 INDEPENDENT = ("PT", "LT", "BDPT")
-CHAINS = ("PSSMLT, sum", "PSSMLT, max", *METHODS[:2])
+CHAINS = ("PSSMLT, sum", "PSSMLT, max", "MLT", *METHODS[:2])
 INTEGRATORS = (*INDEPENDENT, *CHAINS)
-_BATCH = 2**14
+
+
+class Chain(NamedTuple):
+    """A chain and its work."""
+
+    kernel: Kernel
+    target: Multiplexed
+    start: State | None
+    rays: float
+    """Of a mutation, on average."""
+    rays_of_b: float
+    """Of a sample of the integral of its target."""
 
 
 @dataclass(frozen=True)
@@ -35,120 +49,165 @@ class Rivals:
     """BDPT's target: all techniques."""
     reference: np.ndarray
     """The exact image, (pixels,)."""
-    steps: np.ndarray
-    """Samples or mutations after which an error is looked at."""
+    parts: np.ndarray
+    """Which pixels an error is the mean of, (parts, pixels)."""
+    rays: np.ndarray
+    """After which an error is looked at: the same of all integrators, up to the rays of a mutation."""
     sigma: float
     large: float
     runs: int
-    """Of one chain each."""
+    """Of one chain each; as many batches of independent samples."""
     samples: int
     """Independent ones."""
+
+    def __post_init__(self):
+        assert self.samples % self.runs == 0
 
     @property
     def b(self) -> float:
         return float(self.reference.mean())
 
-    def independent(self, key: Key) -> tuple[list[dict[str, np.ndarray]], dict[str, Any]]:
-        """Path tracing, light tracing and BDPT, whose error after N samples follows from their variance.
+    def _mean(self, squares: np.ndarray) -> np.ndarray:
+        """Over the pixels of each part: from (..., pixels) to (..., parts)."""
+        return squares @ self.parts.T / self.parts.sum(1)
 
-        Also figure 5's contribution of each technique, and the relative variance of a sample of b by BDPT.
+    def independent(self, key: Key) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+        """Path tracing, light tracing and BDPT, whose error after N samples follows from their variance, by batches.
+
+        Also figure 5's contribution of each technique.
         """
         pixels, n = float(len(self.reference)), self.every.n_techniques
         techniques = {"PT": range(n - 2, n), "LT": range(1 + self.paths.sensor.places), "BDPT": range(n)}
-        rows, sums = [], {}
+        rows, size, total = [], self.samples // self.runs, np.zeros(0)
         for k, who in enumerate(INDEPENDENT):
             own, mask = jax.random.fold_in(key, k), np.isin(np.arange(n), techniques[who])
-            total, squares, size = contributions(own, self.every, self.paths, mask, self.samples)
-            film = Sums(size, total.sum(0), squares.sum(0), np.inf)
-            sums[who] = total, squares, size
+            total, squares = contributions(own, self.every, self.paths, mask, self.runs, size)
+            batches = Sums(size, total.sum(1), squares.sum(1), np.inf)
+            per_sample = self._mean(pixels**2 * batches.variance).T
             rows.append(
                 {
-                    "value": pixels * film.mean,
-                    "error": pixels * film.error,
-                    "mse": pixels**2 * film.variance / self.steps[:, None],
-                    "noise": np.zeros(len(self.steps)),
-                    "rays": self.paths.edges * self.steps,
+                    "value": pixels * batches.mean.mean(0),
+                    "error": pixels * sem(batches.mean),
+                    "mean_error": sem(batches.mean.sum(-1)),
+                    "mse": per_sample * (self.paths.edges / self.rays)[:, None, None],
+                    "scale": 1.0,
+                    "b_cost": 0.0,
                 }
             )
-        total, squares, size = sums["BDPT"]
-        by_technique = Sums(size, total.sum(1), squares.sum(1), np.inf)
+        shares = total.sum(-1) / size / self.b  # of the last, BDPT
         found = {
-            "contribution": by_technique.mean / self.b,
-            "contribution_error": by_technique.error / self.b,
-            "contribution_film": total / size / self.b,
-            "b_variance": Sums(size, total.sum(), squares.sum(), np.inf).variance / self.b**2,
+            "contribution": shares.mean(0),
+            "contribution_error": sem(shares),
+            "contribution_film": total.mean(0) / size / self.b,
         }
         return rows, found
 
-    def chains(self, key: Key) -> tuple[list[dict[str, np.ndarray]], dict[str, np.ndarray]]:
-        """Runs of one chain each, to which b is known.
+    def chains(self, key: Key) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+        """Runs of one chain each: images in absolute scale, by independent samples of the chain's own target.
 
-        What PSSMLT with the maximum is multiplied by, less than b, follows from what all of its runs deposit together.
+        Errors against rays are of images to which that integral is known; that of the maximum as well as is estimated.
         """
         pixels, n = float(len(self.reference)), self.every.n_techniques
-        exact = exact_start(jax.random.fold_in(key, len(CHAINS)), self.every, self.runs)
-        matrices = {METHODS[0]: close(n, self.sigma), METHODS[1]: np.full((n, n), 1 / n)}
-        rows, found = [], {}
-        for k, who in enumerate(CHAINS):
+        rows, found, integrals = [], {}, {}
+        for k, (who, chain) in enumerate(self._chains(jax.random.fold_in(key, 2 * len(CHAINS))).items()):
+            own, of_b = (jax.random.fold_in(key, 2 * k + part) for part in (0, 1))
+            if id(chain.target) not in integrals:  # that of all techniques is several chains'
+                size = int(self.samples * self.paths.edges / chain.rays_of_b)
+                integrals[id(chain.target)] = bootstrap(of_b, chain.target, size, np.inf)
+            b = integrals[id(chain.target)]
+            steps = np.maximum(1, np.round(self.rays / chain.rays)).astype(int).tolist()
             estimators: dict[str, Estimator] = {"lit": Lit(self.runs)}
-            start = exact
-            if who in matrices:
-                one, target = MMLT(), self.every
-                kernel = multiplexed_kernel(self.sigma, self.large, matrices[who])
+            if who in METHODS:  # of both, which are one program then
                 estimators["usage"] = Usage(self.paths, self.runs, n)
-            else:
-                combine = "sum" if who.endswith("sum") else "maximum"
-                one = PSSMLT(combine=combine, sigma=self.sigma, large=self.large)
-                target, kernel = one.target(self.paths), one.kernel()
-                # The density of u alone under MMLT's law is the sum, so that its exact starts are exact here.
-                start = State(jnp.zeros_like(exact.index), exact.u) if combine == "sum" else None
-            each = one.rays(target, self.paths, {"mutation": 1.0})[0]
-            own = jax.random.fold_in(key, k)
-            ran = films(who, own, kernel, target, self.paths, self.runs, self.steps.tolist(), estimators, start)
-            images = pixels * self.b * ran.films
-            if who == "PSSMLT, max":
-                images /= ran.films[-1].sum(-1).mean()
-            off = (images - self.reference) ** 2
-            lit = ran.sums["lit"] / self.steps[-1]
+            if who == CHAINS[0]:
+                estimators["placed"] = Placed(self.paths, n)
+            ran = films(who, own, chain.kernel, chain.target, self.paths, self.runs, steps, estimators, chain.start)
+            estimated, last = float(b.mean[0]), ran.films[-1]
+            known = estimated if who == CHAINS[1] else self.b
+            value, relative = pixels * estimated * last.mean(0), float(b.error[0]) / estimated
+            whole = last.sum(-1)
+            lit = ran.sums["lit"] / steps[-1]
             rows.append(
                 {
-                    "value": images[-1].mean(0),
-                    "error": sem(images[-1]),
-                    "mse": off.mean(1),
-                    "noise": sem(off.mean(-1), axis=-1),
-                    "rays": each * self.steps,
+                    "value": value,
+                    "error": np.hypot(pixels * estimated * sem(last), value * relative),
+                    "mean_error": estimated * np.hypot(sem(whole), whole.mean() * relative),
+                    "mse": self._mean((pixels * known * ran.films - self.reference) ** 2).swapaxes(1, 2),
+                    "scale": estimated / self.b,
+                    "b_cost": float(b.variance[0]) / estimated**2 * chain.rays_of_b,
                     "effective": lit.mean(),
-                    "effective_error": sem(lit, axis=-1),
+                    "effective_error": sem(lit),
                 }
             )
             if who == METHODS[0]:
-                shares, film = (part / self.steps[-1] for part in ran.sums["usage"])
-                found = {"usage": shares.mean(1), "usage_error": sem(shares, axis=-1), "usage_film": film / self.runs}
-        found |= {part: np.stack([row[part] for row in rows]) for part in ("effective", "effective_error")}
+                shares, film = (part / steps[-1] for part in ran.sums["usage"])
+                found |= {"usage": shares.mean(1), "usage_error": sem(shares, axis=-1), "usage_film": film / self.runs}
+            if who == CHAINS[0]:
+                found |= {"placed_film": ran.sums["placed"] / (steps[-1] * self.runs * n)}
+        found |= {part: np.array([row[part] for row in rows]) for part in ("effective", "effective_error")}
         return rows, found
+
+    def _chains(self, key: Key) -> dict[str, Chain]:
+        paths, every, n = self.paths, self.every, self.every.n_techniques
+        exact = exact_start(key, every, self.runs)
+        chains = {}
+        for combine, who in zip(("sum", "maximum"), CHAINS, strict=False):
+            one = PSSMLT(combine=combine, sigma=self.sigma, large=self.large)
+            target = one.target(paths)
+            # The density of u alone under MMLT's law is the sum, so that its exact starts are exact here.
+            start = State(jnp.zeros_like(exact.index), exact.u) if combine == "sum" else None
+            chains[who] = Chain(one.kernel(), target, start, *one.rays(target, paths, {"mutation": 1.0}))
+        one = MLT()
+        shares = {kind: getattr(one, kind) for kind in ("bidirectional", "lens", "caustic", "multi_chain")}
+        chains[CHAINS[2]] = Chain(one.kernel(), every, exact, *one.rays(every, paths, shares))
+        for who, matrix in zip(METHODS, (close(n, self.sigma), np.full((n, n), 1 / n)), strict=False):
+            kernel = multiplexed_kernel(self.sigma, self.large, matrix)
+            chains[who] = Chain(kernel, every, exact, *MMLT().rays(every, paths, {"mutation": 1.0}))
+        return chains
+
+
+def dark(rivals: Rivals) -> dict[str, np.ndarray]:
+    """The same of a length without light, as of what only lies behind a mirror: no error, and no b to find."""
+    each, none = len(INTEGRATORS), np.zeros((len(INTEGRATORS), len(rivals.reference)))
+    return {
+        **dict.fromkeys(("value", "error"), none),
+        "mean_error": np.zeros(each),
+        "mse": np.zeros((each, len(rivals.rays), len(rivals.parts), rivals.runs)),
+        "scale": np.ones(each),
+        "b_cost": np.zeros(each),
+    }
+
+
+def everyone(rivals: Rivals, key: Key) -> dict[str, np.ndarray]:
+    """What all `INTEGRATORS` do, and what was found by technique."""
+    independent, of_technique = rivals.independent(jax.random.fold_in(key, 0))
+    chains, of_chains = rivals.chains(jax.random.fold_in(key, 1))
+    rows = independent + chains
+    parts = ("value", "error", "mean_error", "mse", "scale", "b_cost")
+    return {part: np.stack([row[part] for row in rows]) for part in parts} | of_technique | of_chains
 
 
 def contributions(
-    key: Key, target: Multiplexed, paths: Paths, mask: np.ndarray, samples: int
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Sums of what each technique of `mask` puts into each pixel, (techniques, pixels); of squares; of how many.
+    key: Key, target: Multiplexed, paths: Paths, mask: np.ndarray, batches: int, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of what each technique of `mask` puts into each pixel, (batches, techniques, pixels); and of squares.
 
     Multiple importance sampling by those techniques alone, with the balance heuristic, each as often as another.
     """
-    batches = max(1, -(-samples // _BATCH))
     chosen = jnp.asarray(np.resize(np.flatnonzero(mask), len(mask))), jnp.asarray(int(mask.sum()))
-    found = [_contributions(key, target, paths, jnp.asarray(mask), chosen, jnp.asarray(k)) for k in range(batches)]
-    total, squares = (np.sum([np.asarray(one[part], np.float64) for one in found], axis=0) for part in (0, 1))
-    return total, squares, batches * _BATCH
+    of = partial(_contributions, key, target, paths, jnp.asarray(mask), chosen, size=size)
+    found = [of(jnp.asarray(k)) for k in range(batches)]
+    total, squares = (np.stack([np.asarray(one[part], np.float64) for one in found]) for part in (0, 1))
+    return total, squares
 
 
 @eqx.filter_jit
 def _contributions(
-    key: Key, target: Multiplexed, paths: Paths, mask: Array, chosen: tuple[Array, Array], batch: Array
+    key: Key, target: Multiplexed, paths: Paths, mask: Array, chosen: tuple[Array, Array], batch: Array, *, size: int
 ) -> tuple[Array, Array]:
     dtype = jnp.zeros(()).dtype
     target, paths = cast((target, paths), dtype)
-    numbers, (members, count) = uniforms(key, batch, (target.dim_u + 1, _BATCH), dtype), chosen
+    numbers, (members, count) = uniforms(key, batch, (target.dim_u + 1, size), dtype), chosen
     index = members[stratum(numbers[0], count)]
     seen = jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, numbers[1:])).seen
     p = jnp.where(mask[:, None], jnp.exp(jnp.stack(seen.log_p)), 0).sum(0)
@@ -157,3 +216,6 @@ def _contributions(
     pixel = jax.vmap(paths.pixel, in_axes=-1)(seen.x)
     zeros = jnp.zeros((target.n_techniques, paths.sensor.pixels), dtype)
     return zeros.at[index, pixel].add(value), zeros.at[index, pixel].add(value * value)
+
+
+__all__ = ["CHAINS", "INDEPENDENT", "INTEGRATORS", "Rivals", "contributions", "dark", "everyone"]

@@ -1,12 +1,10 @@
-"""What the figures of flatland compute apart from chains: proposals of techniques, and errors at equal rays."""
+"""What the figures of flatland compute apart from chains: proposals of techniques, and shadow rays."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import xarray as xr
 
-from experiments.flatland_mmlt import INTEGRATORS, at_equal_rays
 from experiments.support.flatland_chains import MOVES, close, mixes, others
 from experiments.support.flatland_shadow import shadow_ray
 from mcmc1d.flatland import Paths
@@ -47,33 +45,6 @@ def test_keeping_and_changing_together_are_the_small_step_of_mmlt():
     together = (mix["keep"] * np.eye(5) + mix["change"] * matrix) / 0.9
     assert np.allclose(together, close(5, 0.05), atol=1e-12)
     assert not np.allclose(others(close(5, 0.05)), close(5, 0.05), atol=0.1)
-
-
-def test_errors_are_compared_at_equal_rays():
-    """An error of 1 / sqrt(rays), of images whose rays differ: the same for all where the rays are; but for b."""
-    mutations = np.array([64, 128, 256])
-    cost = 1 + 0.3 * np.arange(len(INTEGRATORS))
-    rays = cost[:, None] * mutations
-    dims = ("integrator", "mutations")
-    data = xr.Dataset(
-        {
-            "reference": (("edges", "pixel"), np.full((1, 4), 2.0)),
-            "mse": (("edges", *dims, "pixel"), np.broadcast_to(4.0 / rays[None, ..., None], (1, *rays.shape, 4))),
-            "noise": (("edges", *dims), 0.1 * 4.0 / rays[None]),
-            "rays": (("edges", *dims), rays[None]),
-            "b_variance": ("edges", [7.0]),
-            "spent_on_b": 0.2,
-        },
-        {"integrator": list(INTEGRATORS), "mutations": mutations, "edges": [3]},
-    )
-    at, error, noise = at_equal_rays(data, b_known=True)
-    assert at == 256
-    assert all(one == pytest.approx(1 / 16) for one in error.values())
-    assert noise["BDPT"] == pytest.approx(0.05)
-    # Of r rays a chain has 0.8 r, and b a relative variance of 7 from 0.2 r / 3 samples.
-    _, error, _ = at_equal_rays(data)
-    assert error["PT"] == pytest.approx(1 / 16)
-    assert error["MMLT"] == pytest.approx(np.sqrt(1 / 0.8 + 7 * 3 / 0.2) / 16)
 
 
 def test_a_joined_path_of_lambert_walls_is_dark_where_its_shadow_ray_is_blocked_or_not_cast():
