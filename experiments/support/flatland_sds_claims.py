@@ -22,7 +22,10 @@ def claims(data: xr.Dataset) -> list[Claim]:
     held = f"t interval of {runs} runs, shown of 95 %, deciding at {DECIDES:g} of all comparisons"
 
     def compared(above: xr.DataArray, below: xr.DataArray, level: float) -> dict[str, Ratio]:
-        return {f"a lamp of {w:g}": ratio(above.sel(width=w), below.sel(width=w), level) for w in widths}
+        return {
+            f"a lamp of {w:g}": ratio(above.sel(width=w).to_numpy(), below.sel(width=w).to_numpy(), level)
+            for w in widths
+        }
 
     photons, caustic = (one.photon_mse.sel(radius=data.of, method="nearest") for one in (hidden, direct))
     of = {m: hidden.mse.sel({"method": m}) for m in data.method.to_numpy()}
