@@ -50,13 +50,13 @@ class Config:
     """The share of manifold steps, where they are mixed in."""
     runs: int = 64
     """Of one chain for each path length."""
-    budgets: str = "4096 16384 65536"
+    budgets: str = "4096 16384"
     """Rays of a run, of each length."""
 
 
 PROFILES = {
     "quick": Config(),
-    "paper": Config(shortest=3, longest=6, runs=256, budgets="4096 16384 65536 262144"),
+    "paper": Config(shortest=3, longest=6, runs=256, budgets="4096 16384 65536"),
 }
 
 METHODS = ("MMLT", "MMLT, manifold", "MLT", "MLT, manifold")
