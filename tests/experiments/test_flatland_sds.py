@@ -11,14 +11,18 @@ from experiments.support.flatland_sds_claims import claims
 WIDTHS, RADII, RUNS, PIXELS = [0.1, 0.001], [0.05, 0.2], 32, 8
 
 
-def made_up(photons=0.1, mlt=0.5, noise=0.3, off=0.0, far=3.0, black=(0, 30), joined=0.0):
-    """Squared errors over MMLT's of photons and MLT; `off`: of photons from their prediction, in standard errors."""
+def made_up(photons=0.1, mlt=0.5, noise=0.3, off=0.0, far=3.0, black=(0, 30), joined=0.0, direct=0.02):
+    """Squared errors over MMLT's of photons and MLT, `direct`: of 3 edges over 4.
+
+    `off`: of photons from their prediction, in standard errors.
+    """
     rng = np.random.default_rng(0)
     shape = len(EDGES), len(WIDTHS), len(CHAINS), 1, RUNS
     level = np.array([1.0, mlt, mlt])[:, None, None]
     mse = level * np.exp(noise * rng.standard_normal(shape))
     of_photons = np.exp(noise * rng.standard_normal((len(EDGES), len(WIDTHS), len(RADII), 1, RUNS)))
-    of_photons *= np.array([5.0, photons])[:, None, None, None, None]  # of 3 edges they are worse
+    of_photons *= photons
+    mse[0] *= direct
     b = np.ones((len(EDGES), len(WIDTHS), 1, RUNS))
     for k, runs in enumerate(black):
         b[1, k, 0, :runs] = 0
@@ -68,7 +72,8 @@ def test_what_is_clear_holds():
         ({"photons": 0.4, "noise": 3.0}, "sds-photons", "open"),
         ({"mlt": 3.0}, "sds-mlt", "fails"),
         ({"mlt": 1.0}, "sds-mlt", "open"),
-        ({"noise": 6.0}, "sds-direct", "open"),
+        ({"direct": 1.0}, "sds-direct", "fails"),
+        ({"direct": 0.1}, "sds-direct", "open"),
         ({"black": (0, 0)}, "sds-seeds", "fails"),
         ({"black": (0, 16)}, "sds-seeds", "open"),
     ],
