@@ -5,7 +5,9 @@ from collections.abc import Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from scipy.stats import t as student
 
 from experiments.support.framework import Claim
@@ -13,6 +15,12 @@ from experiments.support.intervals import DECIDES, ratio, shown, under
 from experiments.support.verdict import among, verdict
 
 SOURCE = "Hachisuka et al. 2014"
+# Original MLT's perturbations follow mirrors, which its authors made them for (the paper's fig. 9); no mutation of it
+# is made for glossy walls, along which the step here does not keep the half vector.
+_EXPECTED = {
+    "mmlt-against-mlt": "holds if the scene is glossy_corner",
+    "manifold-against-mmlt": "holds if the scene is mirror_caustic",
+}
 STYLES = {
     "MMLT": ("C0", "-", "o"),
     "MMLT, manifold": ("C0", "--", "s"),
@@ -50,7 +58,7 @@ def claims(data: xr.Dataset, methods: Sequence[str], twin: str) -> list[Claim]:
                 f"{statement}, at equal rays",
                 f"{SOURCE}, {where}",
                 among({scene: under(1, ratio(a, b, miss)) for scene, (a, b) in both.items()}),
-                "holds",
+                _EXPECTED.get(name, "holds"),
                 "; ".join(
                     f"{scene}: times {shown(ratio(a, b))}, of means {a.mean() / b.mean():.2f}"
                     for scene, (a, b) in both.items()
@@ -95,6 +103,8 @@ def figure(data: xr.Dataset, methods: Sequence[str]) -> Figure:
             mean = np.sqrt((error**2).mean("run"))
             axes[k].plot(data.budget, mean, color=color, linestyle=dashes, marker=mark, markersize=3, label=method)
         axes[k].set(xscale="log", yscale="log", xlabel="rays", title=str(name))
+        _plain(axes[k].yaxis, (2, 5, 10, 20, 30, 50, 100, 200))
+        _plain(axes[k].xaxis, data.budget.to_numpy().tolist())
     axes[0].set_ylabel("RMS error (% of mean)")
     place, last = np.arange(len(methods)), data.isel(edges=-1)
     for k, name in enumerate(data.scene.to_numpy()):
@@ -112,10 +122,19 @@ def figure(data: xr.Dataset, methods: Sequence[str]) -> Figure:
     axes[-2].set(ylabel="accepted (%)", title=f"acceptance, {edges} edges\n(hatched: manifold steps)")
     axes[-1].set(yscale="log", ylabel="mutations", title=f"autocorrelation time,\n{edges} edges")
     axes[-1].set_ylim(top=4 * axes[-1].get_ylim()[1])
+    _plain(axes[-1].yaxis, (10, 20, 50, 100, 200, 500))
     axes[-1].legend(loc="upper right")
     handles, labels = axes[0].get_legend_handles_labels()
     result.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return result
+
+
+def _plain(axis: Axis, ticks: Sequence[float]) -> None:
+    """Those of the ticks that lie on the axis, as plain numbers, and no others."""
+    low, high = axis.get_view_interval()
+    shown_ticks = [tick for tick in ticks if low <= tick <= high]
+    axis.set_ticks(shown_ticks, labels=[f"{tick:g}" for tick in shown_ticks])
+    axis.set_minor_locator(NullLocator())
 
 
 __all__ = ["claims", "figure"]
