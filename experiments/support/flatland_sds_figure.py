@@ -15,7 +15,7 @@ PHOTONS = "C2"
 
 def figure(data: xr.Dataset, scene: Scene) -> Figure:
     """Above: the scene, what runs see, the bias; below: errors against rays, a panel a lamp."""
-    result, axes = plt.subplots(2, 3, figsize=(7.0, 4.3))
+    result, axes = plt.subplots(2, 3, figsize=(7.0, 4.6))
     draw_scene(axes[0, 0], scene)
     draw_paths(axes[0, 0], data.path.to_numpy(), linewidth=0.4, alpha=0.7)
     axes[0, 0].set_title("mirror, floor, mirror")
@@ -24,15 +24,22 @@ def figure(data: xr.Dataset, scene: Scene) -> Figure:
     for k, (panel, width) in enumerate(zip(axes[1], data.width.to_numpy(), strict=False)):
         _errors(panel, data.sel(edges=4, width=width))
         panel.set(title=f"in the mirror, lamp of {width:g}", xlabel="rays", ylabel="" if k else "RMS error (% of mean)")
-        panel.sharey(axes[1, 0])
+    low = min(panel.get_ylim()[0] for panel in axes[1])
+    high = max(panel.get_ylim()[1] for panel in axes[1])
+    ticks = [tick for tick in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000) if low < tick < high]
+    for panel in axes[1]:
+        panel.set_ylim(low, high)
+        panel.set_yticks(ticks, [str(tick) for tick in ticks])
+        panel.set_xticks(data.budget.to_numpy(), [str(rays) for rays in data.budget.to_numpy()])
+        panel.minorticks_off()
     handles, labels = axes[1, 0].get_legend_handles_labels()
-    result.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    result.legend(handles, labels, loc="outside lower center", ncols=4)
     return result
 
 
 def _images(panel: Axes, data: xr.Dataset) -> None:
     """Of the narrowest lamp: the exact image, and the band of the middle half of the runs."""
-    here = data.sel(edges=4).isel(width=int(data.width.argmin()))
+    here = data.sel(edges=4).isel(width=int(np.argmin(data.width.to_numpy())))
     pixel = np.arange(data.sizes["pixel"] + 1)
     photons = here.photon_film.sel(radius=data.of, method="nearest")
     for name, film, color in (("photons", photons, PHOTONS), ("MMLT", here.film.sel({"method": "MMLT"}), "C0")):
@@ -68,7 +75,7 @@ def _errors(panel: Axes, data: xr.Dataset) -> None:
         error = 100 * np.sqrt(data.mse.sel(of).mean("run"))
         panel.plot(data.budget, error, color=color, linestyle=dashes, marker="o", markersize=3, label=method)
         known = 100 * np.sqrt(data.mse_known.sel(of).mean("run"))
-        label = "the same, b known" if method == "MMLT" else None
+        label = "thin: b known" if method == "MMLT" else None
         panel.plot(data.budget, known, color=color, linestyle=dashes, linewidth=0.5, label=label)
     for k, radius in enumerate(data.radius.to_numpy()):
         error = 100 * np.sqrt(data.photon_mse.sel(radius=radius).mean("run"))
