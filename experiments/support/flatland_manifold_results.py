@@ -15,8 +15,7 @@ from experiments.support.intervals import DECIDES, ratio, shown, under
 from experiments.support.verdict import among, verdict
 
 SOURCE = "Hachisuka et al. 2014"
-# Original MLT's perturbations follow mirrors, which its authors made them for (the paper's fig. 9); no mutation of it
-# is made for glossy walls, along which the step here does not keep the half vector.
+# What was found in the plane, where theory says nothing; the second scene is the paper's kind.
 _EXPECTED = {
     "mmlt-against-mlt": "holds if the scene is glossy_corner",
     "manifold-against-mmlt": "holds if the scene is mirror_caustic",

@@ -62,8 +62,7 @@ def claims(data: xr.Dataset) -> list[Claim]:
             "Original MLT works better than MMLT on these paths: a lower squared error, b known",
             f"{SOURCE}, fig. 8",
             among(better(known["MLT"], known["MMLT"])),
-            # Found so in the plane, where theory says nothing: no mutation of original MLT takes such a path afresh but
-            # from the pinhole on, and its perturbations step less far than primary sample space's small steps.
+            # Expected is what was found in the plane, where theory says nothing; why was not looked into.
             "fails",
             f"over MMLT: {words(known['MLT'], known['MMLT'])}; with manifold steps "
             f"{words(known['MLT, manifold'], known['MMLT'])}",
