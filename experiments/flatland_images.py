@@ -180,11 +180,9 @@ def draw(data: xr.Dataset) -> Figure:
     axes.tick_params(which="both", length=0)
     axes.minorticks_off()
     bar = figure.colorbar(shown, ax=axes, location="bottom", shrink=0.6, aspect=40, extend="max")
-    bar.set_label(
-        "worst pixel's distance from the exact image (over 1 fails);\nbeside it: error of a total found"
-    )
+    bar.set_label("worst pixel's distance from the exact image (over 1 fails);\nbeside it: error of a total found")
     bar.ax.tick_params(labelsize=6)
-    bar.ax.xaxis.label.set_size(6)
+    bar.ax.xaxis.label.set_fontsize(6)
     return figure
 
 

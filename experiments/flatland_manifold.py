@@ -121,7 +121,7 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[st
         own, asked = jax.random.fold_in(key, 1 + k), {"kinds": mcmc1d.Acceptance()}
         ran = _run(method, own, kernel, target, paths, config.runs, steps, asked, start)
         residual.append(config.pixels * reference.mean() * ran.films - reference)
-        accepted.append(_accepted(ran.kinds, ran.sums["kinds"]))
+        accepted.append(_accepted(kernel.kinds, ran.sums["kinds"]))
         share = reference / reference.sum()
         time.append(steps[-1] * ran.films[-1].var(0, ddof=1).sum() / (share * (1 - share)).sum())
     parts = {

@@ -71,6 +71,7 @@ CHAINS = ("MMLT", "MLT", "MLT, manifold")
 EDGES = (3, 4)
 SPENT_ON_B = 0.25
 """Of a run's rays."""
+_BATCH = 2**14
 _LANES = 2**12
 """Samples for b are taken by as many."""
 _CHAIN_ROWS = {"": "mse", ", b known": "mse_known"}
@@ -128,7 +129,9 @@ def measure(width: float, edges: int, fields: dict[str, Any], seed: int) -> dict
     target = BidirectionalPathTracing().target(paths)
     key = jax.random.fold_in(jax.random.key(seed), edges + 100 * round(1e4 * width))
     every = np.ones(target.n_techniques, bool)
-    total, _, tried = contributions(jax.random.fold_in(key, 0), target, paths, every, config.samples)
+    batches = -(-config.samples // _BATCH)
+    total = contributions(jax.random.fold_in(key, 0), target, paths, every, batches, _BATCH)[0].sum(0)
+    tried = batches * _BATCH
     b, n = float(reference.mean()), target.n_techniques
     start = _start(jax.random.fold_in(key, 1), target, edges, config.runs)
     budgets, each = _budgets(config), {"MMLT": float(edges), **_rays_of_mlt(target, paths, config.manifold)}

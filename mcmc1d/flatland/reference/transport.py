@@ -23,8 +23,8 @@ SMALL = Resolution()
 """For scenes of a few segments, of Lambert's lobe and mirrors: 1e-6 of the mean, or better."""
 GLOSSY = Resolution(order=7, points=9, smallest=1e-3, lobe=2.0)
 """For a few segments, of which some are glossy: 1e-4 of the mean."""
-LARGE = Resolution(order=2, points=4, largest=1.0, longest=0.025, shadows=False)
-"""For scenes of hundreds of segments: even panels, shadow lines not found; 1e-2 of the mean or so."""
+LARGE = Resolution(order=4, points=4, largest=1.0, longest=0.025, shadows=False)
+"""For scenes of hundreds of segments: even panels, shadow lines not found; 5e-3 of the mean or so."""
 # From so many segments on, LARGE is the default.
 _MANY = 60
 # Mirrors in a row that `converged` follows at most, and the share of light that it may leave behind them.
