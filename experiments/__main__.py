@@ -52,7 +52,7 @@ def run(
     dask: Annotated[str | None, typer.Option(help="A Dask scheduler, tcp://..., whose workers share a sweep.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Take up what an interrupted run has left.")] = False,
 ) -> None:
-    """Run experiments: write NAME.png, .pdf, .nc and .json; exit 1 where a verdict is not what theory predicts."""
+    """Run experiments: write NAME.png, .pdf, .nc and .json; exit 1 where a verdict is not what is expected of it."""
     if bool(names) == all_:
         raise ValueError("name the experiments to run, or say --all")
     chosen = framework.names() if all_ else list(names or [])
@@ -97,7 +97,7 @@ def run(
     if undecided:
         errors.print(f"[yellow]open, with these numbers of samples: {', '.join(undecided)}[/]", soft_wrap=True)
     for claim in surprises:
-        errors.print(f"[red]{claim.id}: {claim.verdict}, where theory says {claim.expected}: {claim.number}[/]")
+        errors.print(f"[red]{claim.id}: {claim.verdict}, and {claim.expected} is expected: {claim.number}[/]")
     if surprises:
         raise typer.Exit(1)
 

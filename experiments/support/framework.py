@@ -37,7 +37,10 @@ class Claim:
     verdict: str
     """"holds", "holds if ...", "fails", or "open" where the noise leaves it undecided."""
     expected: str
-    """The verdict that theory predicts; a run whose verdicts differ has failed."""
+    """The verdict that theory or the paper predicts, or, where the plane has been found to differ, what was found before.
+
+    A run whose verdict is another has failed: a change is news. What the paper says stands in the claim itself.
+    """
     number: str
     """What was measured, with its unit."""
     tolerance: str
@@ -45,7 +48,7 @@ class Claim:
 
     @property
     def as_expected(self) -> bool:
-        """Whether theory and finding agree, or what was found says neither."""
+        """Whether this is what was expected, or says neither."""
         return self.verdict in (self.expected, "open")
 
 
