@@ -37,7 +37,7 @@ class Claim:
     verdict: str
     """"holds", "holds if ...", "fails", or "open" where the noise leaves it undecided."""
     expected: str
-    """The verdict that theory or the paper predicts, or, where the plane has been found to differ, what was found before.
+    """The verdict that theory or the paper predicts; where the plane was found to differ, what was found before.
 
     A run whose verdict is another has failed: a change is news. What the paper says stands in the claim itself.
     """

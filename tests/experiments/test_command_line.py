@@ -50,7 +50,7 @@ def tiny(tmp_path_factory):
 def test_a_verdict_that_theory_does_not_predict_exits_with_1(tiny):
     _, runs = tiny
     assert runs[0].returncode == 1, runs[0].stderr
-    assert "where theory says holds" in runs[0].stderr
+    assert "and holds is expected" in runs[0].stderr
 
 
 def test_it_writes_four_files_and_nothing_else(tiny):
