@@ -3,8 +3,7 @@
 What differs from the paper:
 
 - three of its four regimes: `box` for the Cornell box, `door` and `three_rooms` for the dark room, `lab` for the lab;
-  the quick profile has `box` and `door`. Not the head in glass, seen by caustics alone: of `mirror_caustic`'s paths by
-  way of mirror, floor and mirror, multi-stage's exact starts are too rare for rejection (none of 8 in 2^15 candidates);
+  the quick profile has `box` and `door`. Not the head in glass, seen by caustics alone;
 - paths of one length, 3 to 5 edges, where the paper ends paths of any length by Russian roulette;
 - path tracing, and BDPT in `door` and `three_rooms`, both with the power heuristic; "path" is the same, with one
   technique at random for each path, where BDPT tries all;

@@ -141,16 +141,22 @@ def held(
     make, of = (INTEGRATORS | FURTHER)[integrator], scene(name).with_pixels(pixels)
     if hasattr(make, "chains"):
         make = replace(make, chains=CHAINS)
+    unknown = {"detectable_length": [np.nan] * lengths, "twin": np.nan, "rays": 0.0, "samples": 0.0}
     try:
         for edges in range(1, lengths + 1):
             make.check(of, edges)
     except ValueError:
-        unknown = {"detectable": np.nan, "detectable_length": [np.nan] * lengths, "twin": np.nan}
-        return {"excess": 0.0, "blind": 1.0, "rays": 0.0, "samples": 0.0, **unknown}
+        return {"excess": 0.0, "detectable": np.nan, "blind": 1.0, **unknown}
     exact = np.array(values), np.array(errors)
     key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(integrator.encode()))
     goal *= 1 if integrator in STRICT else 3
-    found, result, samples = sharp(key, make, of, lengths, 2**log2_pilot, goal, 2**log2_work, exact, level)
+    try:
+        found, result, samples = sharp(key, make, of, lengths, 2**log2_pilot, goal, 2**log2_work, exact, level)
+    except ValueError as error:
+        if "nothing to start from" not in str(error):
+            raise
+        # Light that a sample for b met, and none that chains could start from: there is no image, and no bound.
+        return {"excess": 0.0, "detectable": np.inf, "blind": 0.0, **unknown}
     techniques = [len(Paths(of, layer.edges).eye_lengths) for layer in found.layers]
     off = Image([layer.scaled(1 - 1 / n) for layer, n in zip(found.layers, techniques, strict=True)])
     return {

@@ -58,7 +58,7 @@ class Config:
 PROFILES = {
     "quick": Config(),
     "paper": Config(
-        # Not office, whose exact image is out of reach, nor lab, whose is known to 4 to 9 % of a length.
+        # Not office, whose exact image is out of reach, nor lab, for its time.
         scenes="furnace box door occluder mirror_caustic glossy_corner open three_rooms",
         lengths="3 4 5 6",
         acceptance_lengths="2 3 4 5 6 7 8 9 10",

@@ -34,7 +34,8 @@ def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normal
     """The integral b by independent samples: the number of techniques times the mean of C_i(u) at uniform i and u.
 
     Hachisuka et al. 2014, section 4: the factor is the number of techniques of the chain, all of them. `samples`: above
-    2**18 rounded up to a multiple of it. Raises `ValueError` where the density is NaN or infinite at a sample.
+    2**18 rounded up to a multiple of it. Raises `ValueError` where the density is NaN, infinite, or over e^300 at a
+    sample, and where it is zero at all of them.
     """
     require_multiplexed(target, "normalisation")
     require_key(key, "normalisation")
@@ -137,11 +138,12 @@ def accepted(
             mine = np.flatnonzero(chosen & (owner == r))
             kept[r].append(jax.tree.map(lambda leaf, mine=mine: leaf[mine], state))
             found[r] += mine.size
-        # Long before the last candidate it can be told that they will not do.
+        # Long before the last candidate it can be told that they will not do, by more than chance.
         r, tried = int(np.argmin(found)), batch - since
-        hopeless = tried[r] >= 64 and found[r] * _MOST_ATTEMPTS < count * tried[r]
+        hopeful = found[r] + 4 * np.sqrt(found[r]) + 8
+        hopeless = tried[r] >= 64 and hopeful * _MOST_ATTEMPTS < count * tried[r]
         require(
-            batch <= _MOST_ATTEMPTS and not hopeless,
+            found[r] >= count or (batch < _MOST_ATTEMPTS and not hopeless),
             f"{who}: {found[r]} of {count} states after {tried[r] * np.sum(owner == r)} candidates, because the "
             f"density reaches {bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}",
         )

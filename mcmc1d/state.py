@@ -287,32 +287,28 @@ def _probe(target: Multiplexed, probes: int) -> None:
 
 
 def _probe_outside(target: Multiplexed) -> None:
-    """Raise `ValueError` where f is not zero outside its domain, at places that a technique reaches."""
+    """Raise `ValueError` where f is not zero outside its domain, at places that a technique makes."""
     lower, upper = (np.asarray(end, np.float64) for end in target.target.domain)
     width = upper - lower
     supports = [technique.support for technique in target.techniques]
-    least = np.maximum(np.min([np.asarray(s[0], np.float64) + 0 * lower for s in supports], 0), lower - width)
-    most = np.minimum(np.max([np.asarray(s[1], np.float64) + 0 * lower for s in supports], 0), upper + width)
+    least = np.maximum(np.min([np.broadcast_to(s[0], lower.shape) for s in supports], 0), lower - width)
+    most = np.minimum(np.max([np.broadcast_to(s[1], lower.shape) for s in supports], 0), upper + width)
     points = []
     for beyond, end in ((least, lower), (most, upper)):
-        for k in np.flatnonzero(np.ravel(beyond != end)):
-            for share in (1e-3, 0.1, 0.5, 1.0):
-                inside = (lower + width * np.linspace(0.1, 0.9, 8)[:, None]).reshape(8, *lower.shape)
-                inside.reshape(8, -1)[:, k] = (end + share * (beyond - end)).ravel()[k]
+        # By more than what rounds in single precision.
+        for k in np.flatnonzero(np.ravel(np.abs(beyond - end) > 1e-5 * width)):
+            for share in (1e-3, 0.1, 0.5, 0.999):
+                inside = lower + width * np.linspace(0.1, 0.9, 8).reshape(8, *[1] * lower.ndim)
+                inside.reshape(8, -1)[:, k] = np.ravel(end + share * (beyond - end))[k]
                 points.append(inside)
     if not points:
         return
     outside = np.concatenate(points)
     with jax.enable_x64(True):
-        log_f = np.asarray(_log_f(cast(target.target, jnp.float64), jnp.asarray(outside)))
-    lit = log_f > -np.inf
+        log_f, log_p, _ = (np.asarray(a) for a in _look(cast(target, jnp.float64), jnp.asarray(outside)))
+    lit = (log_f > -np.inf) & (log_p > -np.inf).any(1)
     require(
         not lit.any(),
         f"{type(target.target).__name__} is positive at x = {outside[np.argmax(lit)]}, outside its domain {lower} to "
-        f"{upper}, and a technique reaches that: let log_f be -inf there, or widen the domain",
+        f"{upper}, and a technique makes that: let log_f be -inf there, or widen the domain",
     )
-
-
-@quickly
-def _log_f(target: Target, points: Float[Array, "n ..."]) -> Float[Array, " n"]:
-    return jax.vmap(target.log_f)(points)

@@ -109,6 +109,11 @@ def test_readme_shows_the_claims_of_the_committed_figures():
     assert "\n".join(lines) in (ROOT / "README.md").read_text()
 
 
+def test_no_two_claims_have_one_name():
+    ids = [claim.id for claim in framework.read_claims(ROOT / "figures")]
+    assert sorted(set(ids)) == sorted(ids)
+
+
 def test_the_house_names_every_module():
     house = (ROOT / "README.md").read_text().partition("## The house")[2]
     parts = (path.name + "/" * path.is_dir() for path in (ROOT / "mcmc1d").iterdir() if not path.name.startswith("_"))

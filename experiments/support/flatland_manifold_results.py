@@ -17,7 +17,7 @@ from experiments.support.verdict import among, verdict
 SOURCE = "Hachisuka et al. 2014"
 # What was found in the plane, where theory says nothing; the second scene is the paper's kind.
 _EXPECTED = {
-    "mmlt-against-mlt": "holds if the scene is glossy_corner",
+    "mmlt-against-mlt-manifold": "fails",
     "manifold-against-mmlt": "holds if the scene is mirror_caustic",
 }
 STYLES = {
@@ -34,7 +34,7 @@ def claims(data: xr.Dataset, methods: Sequence[str], twin: str) -> list[Claim]:
     last = data.mse.isel(budget=-1)
     pairs = (
         ("manifold-mlt", "Manifold steps lower the squared error of original MLT", "sec. 5, fig. 7", 3, 2),
-        ("mmlt-against-mlt", "MMLT's squared error is lower than original MLT's", "sec. 5, fig. 7", 0, 2),
+        ("mmlt-against-mlt-manifold", "MMLT's squared error is lower than original MLT's", "sec. 5, fig. 7", 0, 2),
         (
             "manifold-against-mmlt",
             "MMLT does not outperform manifold exploration: MLT with it errs less",
@@ -69,14 +69,18 @@ def claims(data: xr.Dataset, methods: Sequence[str], twin: str) -> list[Claim]:
     return found
 
 
+_SHARP = 0.1
+"""Of the image's mean: the error that must be seen in any pixel, or nothing was decided."""
+
+
 def _exact(data: xr.Dataset, methods: list[str], twin: str) -> Claim:
     """Every method in every pixel; the twin is to be seen in one scene at least, or nothing was decided."""
     off = np.abs(data.bias) / (data.bias_error + data.reference_error)
     cells = data.sizes["scene"] * len(methods) * data.sizes["pixel"]
     level = float(student.isf(DECIDES / (2 * cells), data.sizes["run"] - 1))
     right, wrong = float(off.sel({"method": methods}).max()), off.sel({"method": twin}).max("pixel")
-    sees = level * data.bias_error.sel({"method": methods}).mean("pixel").max()
-    seen = bool((wrong > level).any())
+    sees = float((level * data.bias_error.sel({"method": methods}) + data.reference_error).max())
+    seen = bool((wrong > level).any()) and sees <= _SHARP
     return Claim(
         "plane.manifold-exact",
         "MMLT and MLT, with manifold steps and without, agree with the exact image in every pixel",
@@ -85,7 +89,8 @@ def _exact(data: xr.Dataset, methods: list[str], twin: str) -> Claim:
         "holds",
         f"{right:.1f} standard errors at most; MLT without its proposals' densities (a twin) "
         + ", ".join(f"{float(z):.0f} in {name}" for name, z in zip(data.scene.to_numpy(), wrong, strict=True)),
-        f"{level:.1f} s.e. of {data.sizes['run']} runs (t, family-wise {DECIDES:g}), {float(sees):.0%} of the mean",
+        f"{level:.1f} s.e. of {data.sizes['run']} runs (t, family-wise {DECIDES:g}), {sees:.0%} of the mean in the "
+        f"worst pixel (open above {_SHARP:.0%})",
     )
 
 

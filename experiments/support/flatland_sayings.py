@@ -30,7 +30,7 @@ def _lower(
 
 
 RIVALRIES = (
-    _lower("plane.mmlt-against-pssmlt", "", "PSSMLT, max", f"{SOURCE}, fig. 1, 4, 9", ALL, "holds", LOWER),
+    _lower("plane.mmlt-against-pssmlt", "", "PSSMLT, max", f"{SOURCE}, fig. 1, 4, 9", ALL, AGAINST, LOWER),
     _lower("plane.mmlt-against-pssmlt-sum", "", "PSSMLT, sum", f"ours; {SOURCE} has the maximum", ALL, "holds"),
     _lower("plane.mmlt-against-bdpt", "", "BDPT", f"{SOURCE}, fig. 4", GLOSSY, AGAINST, LOWER, b_known=False),
     _lower("plane.mmlt-against-mlt", "With gloss ", "MLT", f"{SOURCE}, fig. 1, 4", GLOSSY, AGAINST, LOWER),

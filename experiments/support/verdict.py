@@ -50,9 +50,11 @@ def witnessed(exact: bool, verified: bool | None) -> str:
 
 
 def among(true: dict[str, bool] | dict[str, bool | None]) -> str:
-    """What to say of what was looked at in several scenes: "open" where any (None) did not decide it, or none was."""
-    if not true or None in true.values():
-        return "open"
-    if all(true.values()) or not any(true.values()):
-        return verdict(all(true.values()))
-    return f"holds if the scene is {' or '.join(name for name, yes in true.items() if yes)}"
+    """What to say of what was looked at in several scenes, of which some (None) may not have decided it, or of none.
+
+    What one refutes does not hold in all, whatever the others may show; it holds in those that are named.
+    """
+    held = [name for name, yes in true.items() if yes]
+    if False in true.values():
+        return f"holds if the scene is {' or '.join(held)}" if held else "fails"
+    return "holds" if true and None not in true.values() else "open"

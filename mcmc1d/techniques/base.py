@@ -152,13 +152,6 @@ def _returned(technique: Technique, method: str, given: tuple[Any, ...], **promi
             shape is None or np.shape(part) == shape,
             f"{who}: {name} must have the shape {shape}, not {np.shape(part)}",
         )
-        if name in ("x", "v", "u"):
-            own, dtype = np.dtype(getattr(part, "dtype", given[0].dtype)), np.dtype(given[0].dtype)
-            require(
-                own.itemsize <= dtype.itemsize or getattr(part, "weak_type", False),
-                f"{who}: {name} is {own} of what is {dtype}: a number of NumPy's, such as np.sqrt(2), makes it so; "
-                "write math.sqrt(2), float(...) or jnp.asarray(..., x.dtype)",
-            )
     return parts
 
 

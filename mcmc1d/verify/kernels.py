@@ -173,10 +173,8 @@ class HostSubject(Subject):
             _shapes(where) == _shapes(few),
             f"{self.name}: the positions it returns are {_shapes(where)}, and those it was given {_shapes(few)}",
         )
-        self._require_own_numbers(start)
 
-    def _require_own_numbers(self, start: Position) -> None:
-        """Raise `ValueError` where chains at one place all move alike, and otherwise for another generator."""
+    def alike(self, start: Position) -> bool:
         for row in range(_PLACES):
             place = jax.tree.map(lambda a, row=row: np.repeat(a[row : row + 1], _CHAINS, 0), start)
             before, ends = _rows(place), []
@@ -187,9 +185,8 @@ class HostSubject(Subject):
                 alike = moved.sum() * 4 > _CHAINS and len(np.unique(after[moved], axis=0)) == 1
                 ends.append(after[moved][0] if alike else None)
             if ends[0] is not None and ends[1] is not None and not np.array_equal(*ends):
-                raise ValueError(
-                    f"{self.name}: all chains move by the same random number; draw one for each, of size=len(x)"
-                )
+                return True
+        return False
 
     def drawn(self, start: Position) -> bool:
         if self.kernel.init is None:

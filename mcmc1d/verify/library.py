@@ -44,11 +44,12 @@ class LibrarySubject(Subject):
         kernel, target = cast(self.kernel, self.dtype), cast(self.target, self.dtype)
         key, most = key_of((*seed, first)), jnp.asarray(self.most, self.dtype)
         state = _evaluated(target, jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
-        done = 0
+        lower, upper = (np.asarray(end, self.dtype) for end in self.target.target.domain)
+        done, width = 0, jnp.asarray(upper - lower)
         for time in times:
             span = jnp.asarray(done), jnp.asarray(time)
             # With all that a chain carries, as in a run: what it carries may be wrong.
-            state, points, picked, stale = _advance_library(key, kernel, target, state, span, most)
+            state, points, picked, stale = _advance_library(key, kernel, target, state, span, most, width)
             points = jax.tree.map(np.asarray, points)
             yield Look(points, drawn(picked), self._wrong(points["index"], np.asarray(stale)))
             done = time
@@ -60,8 +61,8 @@ class LibrarySubject(Subject):
             return f"it goes to technique {index[lost][0]}, and there are 0 to {n - 1}, in {lost.sum()} of {len(lost)}"
         if stale.mean() > _STALE:
             return (
-                f"in {stale.sum()} of {len(stale)} replicas the state's `eval` is not that of its index and u; return "
-                "State(index, u) without it where they have changed"
+                f"in {stale.sum()} of {len(stale)} replicas the state's `eval` is not that of its index and u; where "
+                "they have changed, leave it out of a proposal, and of a kernel return target.evaluate(State(index, u))"
             )
         return ""
 
@@ -74,7 +75,7 @@ class LibrarySubject(Subject):
 
 
 _STALE = 0.01
-"""The share of replicas whose `eval` rounding alone may have moved far: at a wall, or beside a pole."""
+"""The share of replicas whose `eval` rounding alone may have moved far: at a wall, or where a jump changed weights."""
 
 
 @quickly
@@ -83,21 +84,26 @@ def _evaluated(target: Multiplexed, index: Array, u: Array) -> State:
     return jax.vmap(target.evaluate, out_axes=-1)(State(index, u))
 
 
-def _stale(target: Multiplexed, states: State) -> Array:
+def _stale(target: Multiplexed, states: State, width: Array) -> Array:
     """Of which states the `eval` is another's: x off by 1 % of the domain, or the density by a factor of two."""
 
     def one(state: State) -> Array:
         kept, fresh = state.seen, target.evaluate(State(state.index, state.u)).seen
-        lower, upper = (jnp.asarray(end, state.u.dtype) for end in target.target.domain)
-        off = jnp.abs(kept.log_c - fresh.log_c) > jnp.log(2.0)
-        return jnp.any(jnp.abs(kept.x - fresh.x) > 0.01 * (upper - lower)) | off
+        alike = (jnp.abs(kept.log_c - fresh.log_c) <= jnp.log(2.0)) | (kept.log_c == fresh.log_c)
+        return jnp.any(~(jnp.abs(kept.x - fresh.x) <= 0.01 * width)) | ~alike
 
     return jax.vmap(one, in_axes=-1)(states)
 
 
 @wide_jit
 def _advance_library(
-    key: Key, kernel: Kernel, target: Multiplexed, states: State, span: tuple[Array, Array], most: Array
+    key: Key,
+    kernel: Kernel,
+    target: Multiplexed,
+    states: State,
+    span: tuple[Array, Array],
+    most: Array,
+    width: Array,
 ) -> tuple[State, Any, Any, Array]:
     n, dtype, (first, last) = states.u.shape[-1], states.u.dtype, span
 
@@ -113,7 +119,7 @@ def _advance_library(
     uniform = uniforms(key, last + PICK, (1, n), dtype)[0]
     picked = jax.vmap(pick, in_axes=(-1, -1, 0, None))(points, deposits.weight, uniform, most)
     where = {"index": after.index, "x": jnp.moveaxis(after.seen.x, -1, 0), "u": after.u.T}
-    return after, where, picked, _stale(target, after)
+    return after, where, picked, _stale(target, after, width)
 
 
 @quickly

@@ -61,7 +61,8 @@ class _Forward(eqx.Module):
     def __call__(self, u: Float[Array, " m"]) -> tuple[Array, Scalar, Array, Array]:
         def flat(u: Float[Array, " m"]) -> tuple[Array, Scalar]:
             x, v, log_det = self.technique.forward(u)
-            return jnp.concatenate([jnp.ravel(x), v]), log_det
+            # A number of NumPy's is a float64, and so would be x: held to what a chain in this precision has.
+            return jnp.concatenate([jnp.ravel(x), v]).astype(u.dtype), log_det
 
         return *flat(u), *jax.jacfwd(flat)(u)
 
@@ -73,7 +74,8 @@ class _Inverse(eqx.Module):
     def __call__(self, image: Float[Array, " m"]) -> tuple[Array, Scalar, Scalar]:
         d = int(np.prod(self.shape))
         x = image[:d].reshape(self.shape)
-        return *self.technique.inverse(x, image[d:]), self.technique.log_prob(x)
+        u, log_det = self.technique.inverse(x, image[d:])
+        return u.astype(image.dtype), log_det, self.technique.log_prob(x)
 
 
 class _Density(eqx.Module):

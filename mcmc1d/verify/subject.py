@@ -95,6 +95,10 @@ class Subject(abc.ABC):
         """Whether a part of the state, beside the position, is drawn at random by who gave the kernel."""
         return False
 
+    def alike(self, start: Position) -> bool:
+        """Whether chains at one place all move to one other, and with other random numbers to another."""
+        return False
+
     def crowd(self, points: Position, unlikely: Position, n: int) -> list[Position]:
         """`n` replicas at each of a few bad points; `unlikely` are exact draws, the least likely first."""
         count = len(jax.tree.leaves(points)[0])

@@ -302,6 +302,11 @@ class Trial:
                 "init draws a part of the state: from another law than its own (a momentum of another scale), a right "
                 "kernel fails too"
             )
+        if verdict is Verdict.FAIL and subject.alike(self.unlikely):
+            diagnosis.append(
+                "chains at one place all move alike: where they share a random number, no p-value holds; draw one for "
+                "each, of size=len(x)"
+            )
         balance = "detailed balance: reversible=True declares it, and sees much smaller mistakes"
         untested = [] if subject.reversible else [balance]
         reached, looked = self.forgotten.steps or 0, max(sampler.steps)

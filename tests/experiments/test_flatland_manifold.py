@@ -42,8 +42,8 @@ def test_what_is_clear_holds():
         ({"wrong": 1.0}, "manifold-exact", "open"),  # the twin is not seen
         ({"levels": (1, 1, 1, 4)}, "manifold-mlt", "fails"),
         ({"levels": (1, 1, 1, 1)}, "manifold-mlt", "open"),
-        ({"levels": (4, 1, 1, 1)}, "mmlt-against-mlt", "fails"),
-        ({"levels": (1, 1, 1, 1)}, "mmlt-against-mlt", "open"),
+        ({"levels": (4, 1, 1, 1)}, "mmlt-against-mlt-manifold", "fails"),
+        ({"levels": (1, 1, 1, 1)}, "mmlt-against-mlt-manifold", "open"),
         ({"levels": (1, 1, 1, 4)}, "manifold-against-mmlt", "fails"),
         ({"levels": (1, 1, 1, 1)}, "manifold-against-mmlt", "open"),
         ({"levels": (1, 4, 1, 1)}, "mmlt-manifold", "fails"),

@@ -75,7 +75,8 @@ def test_what_is_clear_holds():
         ({"direct": 1.0}, "sds-direct", "fails"),
         ({"direct": 0.1}, "sds-direct", "open"),
         ({"black": (0, 0)}, "sds-seeds", "fails"),
-        ({"black": (0, 16)}, "sds-seeds", "open"),
+        ({"black": (0, 16)}, "sds-seeds", "fails"),
+        ({"black": (16, 16)}, "sds-seeds", "open"),
     ],
 )
 def test_what_is_not_fails_or_is_open(options, name, verdict):

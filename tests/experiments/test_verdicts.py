@@ -31,9 +31,11 @@ def test_what_is_false_fails_and_what_is_not_decided_is_open(conditions, word):
     assert verdict(*conditions) == word
 
 
-def test_scenes_that_differ_are_named_and_one_that_is_open_opens_all():
+def test_scenes_that_differ_are_named_and_one_that_is_refuted_is_not_hidden_by_one_that_is_open():
     assert among({"box": True, "door": False}) == "holds if the scene is box"
     assert among({"box": True, "door": None}) == "open"
+    assert among({"box": False, "door": None}) == "fails"
+    assert among({"box": True, "lab": False, "door": None}) == "holds if the scene is box"
 
 
 def test_what_was_looked_at_nowhere_is_open():
