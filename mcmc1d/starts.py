@@ -138,14 +138,14 @@ def accepted(
             mine = np.flatnonzero(chosen & (owner == r))
             kept[r].append(jax.tree.map(lambda leaf, mine=mine: leaf[mine], state))
             found[r] += mine.size
-        # Long before the last candidate it can be told that they will not do, by more than chance.
-        r, tried = int(np.argmin(found)), batch - since
-        hopeful = found[r] + 4 * np.sqrt(found[r]) + 8
-        hopeless = tried[r] >= 64 and hopeful * _MOST_ATTEMPTS < count * tried[r]
+        # Long before the last candidate it can be told that they will not do.
+        r = int(np.argmin(found))
+        tried = int((batch - since[r]) * np.sum(owner == r))
+        hopeless = tried >= 64 * _CANDIDATES and found[r] * _MOST_ATTEMPTS * _CANDIDATES < count * tried
         require(
             found[r] >= count or (batch < _MOST_ATTEMPTS and not hopeless),
-            f"{who}: {found[r]} of {count} states after {tried[r] * np.sum(owner == r)} candidates, because the "
-            f"density reaches {bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}",
+            f"{who}: {found[r]} of {count} states after {tried} candidates, because the density reaches "
+            f"{bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}",
         )
     each = [jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *row) for row in kept]
     return jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)), *each)
