@@ -29,9 +29,9 @@ from rich.table import Table
 
 from experiments.support.flatland_held import FACTORS, LEVEL, held
 from experiments.support.flatland_stages import Contest, Images, pooled
-from experiments.support.flatland_table1 import claims
+from experiments.support.flatland_table1 import REGIMES, claims
 from experiments.support.flatland_table1_draw import draw_table1, table1
-from experiments.support.framework import Claim
+from experiments.support.framework import Claim, chosen
 from experiments.support.stage_methods import BRIGHT, METHODS, PAPER
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing
@@ -94,7 +94,8 @@ PARTS = ("image", "density", "acceptance", "shadow")
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every algorithm on every scene."""
-    names = config.scenes.split()
+    names, whole = chosen(config.scenes, REGIMES), config.samples % (2 * config.pixels) == 0
+    require(whole, f"samples are a multiple of twice the {config.pixels} pixels, not {config.samples}")
     points = [(name, method, asdict(config), seed) for name in names for method in METHODS]
     exact = dict(zip(names, progress.map("references", reference, [(n, config.pixels) for n in names]), strict=True))
     found = progress.map("algorithms", measure, [(*point, exact[point[0]]) for point in points])

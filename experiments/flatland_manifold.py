@@ -22,6 +22,7 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.flatland_chains import Films, close, films
 from experiments.support.flatland_manifold_results import claims, figure
+from experiments.support.framework import chosen
 from experiments.support.long import at
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland import Paths
@@ -29,7 +30,7 @@ from mcmc1d.flatland.integrators import MLT, BidirectionalPathTracing
 from mcmc1d.flatland.mutants.mutations import TakenForSymmetric
 from mcmc1d.flatland.mutations import VEACH, ManifoldStep
 from mcmc1d.flatland.reference import image
-from mcmc1d.flatland.scenes import scene
+from mcmc1d.flatland.scenes import catalogue, scene
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.state import Multiplexed
@@ -66,7 +67,7 @@ TWIN = "MLT, wrong"
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every method on every scene; the image is of all lengths together."""
-    names, lengths = config.scenes.split(), list(range(config.shortest, config.longest + 1))
+    names, lengths = chosen(config.scenes, catalogue()), list(range(config.shortest, config.longest + 1))
     points = [(name, k, asdict(config), seed) for name in names for k in lengths]
     found = progress.map("scenes and lengths", measure, points)
     methods, budgets = [*METHODS, TWIN], [int(n) for n in config.budgets.split()]

@@ -24,8 +24,10 @@ from rich.table import Table
 from experiments.support.flatland_acceptance import PAPER, SHOWN, acceptance_claims, accepted
 from experiments.support.flatland_chains import METHODS
 from experiments.support.flatland_stability import STATISTICS, compared, converge, stability_claims
-from experiments.support.framework import Claim
+from experiments.support.framework import Claim, chosen
 from experiments.support.sweep import Sweep
+from mcmc1d.flatland.scenes import catalogue
+from mcmc1d.numerics import require
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ LONG = True
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Acceptance of each kind of move by path length; the errors of each run of each method on each scene."""
-    edges, names = [int(k) for k in config.acceptance_lengths.split()], config.scenes.split()
+    require(config.doublings >= 4, f"doublings are 4 at least, for three looks, not {config.doublings}")
+    edges, names = [int(k) for k in config.acceptance_lengths.split()], chosen(config.scenes, catalogue())
     lengths = [int(k) for k in config.lengths.split()]
     steps = [config.first * 2**k for k in range(config.doublings + 1)]
     moves = config.sigma, config.large, config.jump

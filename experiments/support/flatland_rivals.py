@@ -18,7 +18,7 @@ from mcmc1d.flatland.integrators import MLT, Sums
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT
 from mcmc1d.flatland.sampling import bootstrap
 from mcmc1d.metropolis import Kernel
-from mcmc1d.numerics import cast, stratum
+from mcmc1d.numerics import cast, require, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
@@ -61,7 +61,7 @@ class Rivals:
     """Independent ones."""
 
     def __post_init__(self):
-        assert self.samples % self.runs == 0
+        require(self.samples % self.runs == 0, f"samples, {self.samples}, are a multiple of runs, {self.runs}")
 
     @property
     def b(self) -> float:
