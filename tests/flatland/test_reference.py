@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 
 from mcmc1d.flatland import reference
-from mcmc1d.flatland.reference import Resolution
+from mcmc1d.flatland.reference import Resolution, operators
 from mcmc1d.flatland.reference.glossy import lobe, lobe_norm
 from mcmc1d.flatland.reference.rays import Geometry, fan, hits
 from mcmc1d.flatland.scene import Material, Pinhole, Scene, Segment, Wall
@@ -206,6 +206,22 @@ def test_the_energy_of_a_glossy_lobe():
         wrong = abs(found.values[1, 0] - 0.8 * albedo(20, angle))
         assert wrong < 1e-4 * found.values[1, 0]
         assert wrong <= found.errors[1, 0]
+
+
+def test_what_memory_does_not_hold_is_made_roughly_and_says_so(monkeypatch):
+    """Of two glossy walls: the default would be too large, the rougher one's image is within its errors of it."""
+    shiny = Material(glossy=0.9, exponent=12)
+    walls = ((0.5, 0), (2, 0)), ((2.4, 0.3), (2.2, 1.4))
+    lamp = Segment((1.4, 2.2), (0.6, 1.9), LAMP)
+    scene = Scene("two", (*(Segment(*ends, shiny) for ends in walls), lamp), Pinhole((0.2, 0.8), (1.0, -0.75), 0.1, 1))
+    fine = reference.image(scene, 3)
+    monkeypatch.setattr(operators, "_MOST_ENTRIES", 300_000)
+    rough = reference.image(scene, 3)
+    assert np.all(rough.errors[1:] > 3 * fine.errors[1:])
+    assert np.all(np.abs(rough.values - fine.values) <= rough.errors + fine.errors)
+    monkeypatch.setattr(operators, "_MOST_ENTRIES", 100)
+    with pytest.raises(ValueError, match="memory does not hold; pass a coarser resolution=, such as"):
+        reference.image(scene, 3)
 
 
 def test_two_glossy_walls_by_nested_quadrature():

@@ -10,7 +10,6 @@ from scipy.sparse import csr_array
 from mcmc1d.flatland.reference.glossy import Directions
 from mcmc1d.flatland.reference.mesh import Mesh, Points, legendre, quadrature
 from mcmc1d.flatland.reference.rays import Geometry, Rays, trace
-from mcmc1d.numerics import require
 
 # Matrix entries made at a time.
 _BATCH = 1_000_000
@@ -88,6 +87,10 @@ def gather(sources: Sources, rays: Rays, rows: int, depth: int, points: int, mea
     return parts.gather(float(missed.max(initial=0)))
 
 
+class TooLargeError(ValueError):
+    """Where a computation would take more memory than there is."""
+
+
 _MOST_ENTRIES = 150_000_000
 """Of an operator: 16 bytes each, and three times as much while it is made."""
 
@@ -111,11 +114,12 @@ def incoming(
         weights.append(seen.weight.ravel())
         owners.append(np.repeat(seen.row, points))
     count = sum(len(a) for a in angles)
-    require(
-        count * sources.mesh.order * sources.directions.order <= _MOST_ENTRIES,
-        f"image: the glossy walls see {count} places in {sources.directions.count} directions, which memory does not "
-        "hold; pass a coarser resolution=, or lower the largest exponent",
-    )
+    if count * sources.mesh.order * sources.directions.order > _MOST_ENTRIES:
+        raise TooLargeError(
+            f"image: the glossy walls see {count} places in {sources.directions.count} directions, which memory does "
+            "not hold; pass a coarser resolution=, such as Resolution(order=2, points=4, smallest=0.1, lobe=4.0), or "
+            "lower the largest exponent"
+        )
     parts, start = _Parts(sources, count, depth), 0
     for seen in batches:
         parts.radiance(seen, start)
@@ -219,4 +223,4 @@ def _edges(sources: Sources) -> tuple[np.ndarray | None, np.ndarray]:
     return None if sources.directions is None else sources.directions.edges, sources.glossy > 0
 
 
-__all__ = ["FILM", "IRRADIANCE", "Gather", "Measure", "Sources", "gather", "incoming"]
+__all__ = ["FILM", "IRRADIANCE", "Gather", "Measure", "Sources", "TooLargeError", "gather", "incoming"]

@@ -4,7 +4,7 @@ B_k(x), what Lambert's lobe sends out after k edges, and G_k(x, theta), the glos
 What arrives by k edges is L_e for k = 1, B_k + G_k of what is seen, and the same by way of mirrors, each an edge.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +14,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from mcmc1d.checks import require_whole
 from mcmc1d.flatland.reference.glossy import Directions, lobe
 from mcmc1d.flatland.reference.mesh import Resolution, make_mesh
-from mcmc1d.flatland.reference.operators import FILM, IRRADIANCE, Gather, Sources, gather, incoming
+from mcmc1d.flatland.reference.operators import FILM, IRRADIANCE, Gather, Sources, TooLargeError, gather, incoming
 from mcmc1d.flatland.reference.rays import Geometry, Rays, fan
 from mcmc1d.flatland.scene import Pinhole, Scene, require_scene
 from mcmc1d.numerics import require
@@ -25,6 +25,9 @@ GLOSSY = Resolution(order=7, points=9, smallest=1e-3, lobe=2.0)
 """For a few segments, of which some are glossy: 1e-4 of the mean."""
 LARGE = Resolution(order=4, points=4, largest=1.0, longest=0.025, shadows=False)
 """For scenes of hundreds of segments: even panels, shadow lines not found; 5e-3 of the mean or so."""
+_ROUGH = Resolution(order=3, points=6, smallest=2e-2, lobe=3.0)
+# Where memory does not hold what these take, the next is tried; what each errs by stands in `Reference.errors`.
+_SMALL, _GLOSSY, _LARGE = (SMALL,), (GLOSSY, _ROUGH), (LARGE, replace(LARGE, order=2))
 # From so many segments on, LARGE is the default.
 _MANY = 60
 # Mirrors in a row that `converged` follows at most, and the share of light that it may leave behind them.
@@ -82,9 +85,17 @@ def converged(scene: Scene, resolution: Resolution | None = None) -> Reference:
 
 
 def _compared(scene: Scene, resolution: Resolution | None, compute) -> Reference:
-    coarse = resolution or (LARGE if len(scene.segments) >= _MANY else GLOSSY if scene.glossy else SMALL)
-    first, _ = compute(coarse)
-    second, left_out = compute(coarse.finer())
+    default = _LARGE if len(scene.segments) >= _MANY else _GLOSSY if scene.glossy else _SMALL
+    coarse, *rougher = default if resolution is None else (resolution,)
+    while True:
+        try:  # the finer one first: where memory holds it, it holds both
+            second, left_out = compute(coarse.finer())
+            first, _ = compute(coarse)
+            break
+        except TooLargeError:
+            if not rougher:
+                raise
+            coarse = rougher.pop(0)
     rounding = 1e-13 * np.abs(second).max(initial=0)
     worst = (3 if scene.glossy else 1) * np.abs(second - first).max(1, keepdims=True)
     return Reference(second, np.broadcast_to(worst + rounding + left_out, second.shape).copy())
