@@ -74,8 +74,10 @@ class LibrarySubject(Subject):
         return positions(target, after), np.asarray(kind)
 
 
-_STALE = 0.01
-"""The share of replicas whose `eval` rounding alone may have moved far: at a wall, or where a jump changed weights."""
+_STALE = 0.05
+"""The share of replicas whose `eval` rounding alone may have moved far: at a wall, or in a technique's thin tail, where
+a jump keeps x and its u says no more what x is.
+"""
 
 
 @quickly
@@ -85,12 +87,12 @@ def _evaluated(target: Multiplexed, index: Array, u: Array) -> State:
 
 
 def _stale(target: Multiplexed, states: State, width: Array) -> Array:
-    """Of which states the `eval` is another's: x off by 1 % of the domain, or the density by a factor of two."""
+    """Of which states the `eval` is another's: x off by 5 % of the domain, or the density by a factor of two."""
 
     def one(state: State) -> Array:
         kept, fresh = state.seen, target.evaluate(State(state.index, state.u)).seen
         alike = (jnp.abs(kept.log_c - fresh.log_c) <= jnp.log(2.0)) | (kept.log_c == fresh.log_c)
-        return jnp.any(~(jnp.abs(kept.x - fresh.x) <= 0.01 * width)) | ~alike
+        return jnp.any(~(jnp.abs(kept.x - fresh.x) <= 0.05 * width)) | ~alike
 
     return jax.vmap(one, in_axes=-1)(states)
 
