@@ -185,7 +185,7 @@ def test_chains_that_jump_between_techniques_make_the_exact_image():
     estimators = {"image": Exposure(light.target.paths)}
     # Thirty-two blocks: the standard error is known to an eighth, and the threshold allows for it.
     run = mcmc1d.run(
-        jax.random.key(3), kernel, light, steps=96, chains=8192, blocks=32, estimators=estimators, dtype=jnp.float32
+        jax.random.key(3), kernel, light, steps=160, chains=8192, blocks=32, estimators=estimators, dtype=jnp.float32
     )
     found = picture(run, "image", exact.mean())
     assert np.max(found.error / exact) < 0.15 / 9
