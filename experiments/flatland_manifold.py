@@ -20,10 +20,9 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.flatland_chains import Films, close, films
+from experiments.support.flatland_chains import close, films_unsaved
 from experiments.support.flatland_manifold_results import claims, figure
 from experiments.support.framework import chosen
-from experiments.support.long import at
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import MLT, BidirectionalPathTracing
@@ -120,7 +119,7 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[st
         kernel, each = _kernel(config, target, paths, method)
         steps = [int(int(rays) / each) for rays in config.budgets.split()]
         own, asked = jax.random.fold_in(key, 1 + k), {"kinds": mcmc1d.Acceptance()}
-        ran = _run(method, own, kernel, target, paths, config.runs, steps, asked, start)
+        ran = films_unsaved(method, own, kernel, target, paths, config.runs, steps, asked, start)
         residual.append(config.pixels * reference.mean() * ran.films - reference)
         accepted.append(_accepted(kernel.kinds, ran.sums["kinds"]))
         share = reference / reference.sum()
@@ -142,12 +141,6 @@ def _accepted(kinds: tuple[str, ...], sums: Any) -> tuple[float, float]:
     parts = [(accepted[of].sum(), proposed[of].sum()) for of in (~manifold, manifold)]
     one, other = (a / p if p else np.nan for a, p in parts)
     return one, other
-
-
-def _run(*arguments: Any) -> Films:
-    """`films` that are not saved as they go: to describe a program of Veach's mutations takes longer than to run it."""
-    with at(None, None):
-        return films(*arguments)
 
 
 def _kernel(config: Config, target: Multiplexed, paths: Paths, method: str) -> tuple[Kernel, float]:

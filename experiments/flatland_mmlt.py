@@ -26,33 +26,17 @@ from experiments.support.flatland_equal import critical, judged, root, squared
 from experiments.support.flatland_glossy import GLOSSY_DOOR
 from experiments.support.flatland_rivals import CHAINS, INTEGRATORS
 from experiments.support.flatland_sayings import RIVALRIES, SOURCE
-from experiments.support.flatland_work import draw_errors, gathered, measured
+from experiments.support.flatland_work import Work, draw_errors, gathered, measured
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import among, verdict
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Work):
     """The experiment's numbers."""
 
     scenes: str = f"door {GLOSSY_DOOR} mirror_caustic"
-    shortest: int = 4
-    """Edges of the shortest paths in the comparison."""
-    longest: int = 4
-    """Of the longest; the usage of the techniques is shown for these."""
-    pixels: int = 16
-    sigma: float = 0.05
-    large: float = 0.1
-    spent_on_b: float = 0.2
-    """Of a chain's rays, where b is not known."""
-    runs: int = 512
-    """Runs of one chain for each path length, whose mean squared error is shown."""
-    first: int = 64
-    """Mutations by MMLT of each length, after whose rays images are looked at first."""
-    doublings: int = 6
-    samples: int = 2**21
-    """Independent ones of each length, from which the error of fewer follows."""
 
 
 PROFILES = {

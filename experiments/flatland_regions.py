@@ -19,7 +19,7 @@ from experiments.support.flatland_equal import Rivalry, critical, judged, log_ra
 from experiments.support.flatland_glossy import GLOSSY_DOOR
 from experiments.support.flatland_rivals import INTEGRATORS
 from experiments.support.flatland_sayings import AGAINST, SOURCE
-from experiments.support.flatland_work import draw_errors, gathered, measured
+from experiments.support.flatland_work import Work, draw_errors, gathered, measured
 from experiments.support.framework import Claim
 from experiments.support.intervals import DECIDES, Ratio, shown
 from experiments.support.sweep import Sweep
@@ -29,26 +29,11 @@ PARTS = ("glossy", "diffuse")
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Work):
     """The experiment's numbers."""
 
     scenes: str = GLOSSY_DOOR
     """With a pinhole, of which some pixels see gloss only."""
-    shortest: int = 4
-    """Edges of the shortest paths."""
-    longest: int = 4
-    pixels: int = 16
-    sigma: float = 0.05
-    large: float = 0.1
-    spent_on_b: float = 0.2
-    """Of a chain's rays, where b is not known."""
-    runs: int = 512
-    """Runs of one chain for each path length."""
-    first: int = 64
-    """Mutations by MMLT of each length, after whose rays images are looked at first."""
-    doublings: int = 6
-    samples: int = 2**21
-    """Independent ones of each length, from which the error of fewer follows."""
 
 
 PROFILES = {

@@ -20,11 +20,10 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from experiments.support.flatland_caustic import blurred, caustic, exact, found
-from experiments.support.flatland_chains import Films, close, films, multiplexed_kernel
+from experiments.support.flatland_chains import close, films_unsaved, multiplexed_kernel
 from experiments.support.flatland_rivals import contributions
 from experiments.support.flatland_sds_claims import claims
 from experiments.support.flatland_sds_figure import figure
-from experiments.support.long import at
 from experiments.support.sweep import Sweep
 from mcmc1d.chain import exact_start
 from mcmc1d.flatland import Paths, Scene
@@ -143,7 +142,9 @@ def measure(width: float, edges: int, fields: dict[str, Any], seed: int) -> dict
     for k, method in enumerate(CHAINS):
         steps = [int((rays - size * edges) / each[method]) for rays, size in zip(budgets, sizes, strict=True)]
         kernel = _kernel(config, n, method)
-        ran = _run(method, jax.random.fold_in(key, 100 + k), kernel, target, paths, config.runs, steps, {}, start)
+        ran = films_unsaved(
+            method, jax.random.fold_in(key, 100 + k), kernel, target, paths, config.runs, steps, {}, start
+        )
         images = config.pixels * estimated[:, :, None] * ran.films
         mse.append(_squared(images, reference))
         known.append(_squared(config.pixels * b * ran.films, reference))
@@ -181,12 +182,6 @@ def _start(key: Key, target: Multiplexed, edges: int, count: int) -> State:
 def _estimates(key: Key, target: Multiplexed, size: int, runs: int) -> list[float]:
     """Of each run, b by samples of its own."""
     return [float(bootstrap(jax.random.fold_in(key, k), target, size, np.inf).mean[0]) for k in range(runs)]
-
-
-def _run(*arguments: Any) -> Films:
-    """`films` that are not saved as they go: to describe a program of Veach's mutations takes longer than to run it."""
-    with at(None, None):
-        return films(*arguments)
 
 
 def _kernel(config: Config, techniques: int, method: str) -> Kernel:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtr
 
-from experiments.support.long import long_run
+from experiments.support.long import at, long_run
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators.chains import EachChain
@@ -197,6 +197,12 @@ def films(
     return Films(np.stack(seen), others)
 
 
+def films_unsaved(*arguments: Any) -> Films:
+    """`films` that are not saved as they go: to describe a program of Veach's mutations takes longer than to run it."""
+    with at(None, None):
+        return films(*arguments)
+
+
 __all__ = [
     "METHODS",
     "MOVES",
@@ -206,6 +212,7 @@ __all__ = [
     "Usage",
     "close",
     "films",
+    "films_unsaved",
     "mixed_kernel",
     "mixes",
     "multiplexed_kernel",

@@ -1,7 +1,8 @@
 """What an experiment in the plane measures of every integrator, of each scene and path length, and draws of it."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -20,29 +21,26 @@ GLOSSY = Resolution(order=4, points=6, smallest=1e-2, lobe=3.0)
 """Coarser than the library's, which takes minutes: its error, which is known, is far below that of the chains."""
 
 
-class Work(Protocol):
-    """What a configuration must say."""
+@dataclass(frozen=True)
+class Work:
+    """What two experiments have in common; each adds its scenes."""
 
-    @property
-    def shortest(self) -> int: ...
-    @property
-    def longest(self) -> int: ...
-    @property
-    def pixels(self) -> int: ...
-    @property
-    def sigma(self) -> float: ...
-    @property
-    def large(self) -> float: ...
-    @property
-    def spent_on_b(self) -> float: ...
-    @property
-    def runs(self) -> int: ...
-    @property
-    def first(self) -> int: ...
-    @property
-    def doublings(self) -> int: ...
-    @property
-    def samples(self) -> int: ...
+    shortest: int = 4
+    """Edges of the shortest paths."""
+    longest: int = 4
+    """Of the longest; the usage of the techniques is shown for these."""
+    pixels: int = 16
+    sigma: float = 0.05
+    large: float = 0.1
+    spent_on_b: float = 0.2
+    """Of a chain's rays, where b is not known."""
+    runs: int = 512
+    """Runs of one chain for each path length, whose mean squared error is shown."""
+    first: int = 64
+    """Mutations by MMLT of each length, after whose rays images are looked at first."""
+    doublings: int = 6
+    samples: int = 2**21
+    """Independent ones of each length, from which the error of fewer follows."""
 
 
 def exact(scene: Scene, edges: int) -> Reference:
