@@ -30,6 +30,7 @@ from mcmc1d.flatland.mutants.mutations import TakenForSymmetric
 from mcmc1d.flatland.mutations import VEACH, ManifoldStep
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import catalogue, scene
+from mcmc1d.numerics import require
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange, TechniqueChange
 from mcmc1d.state import Multiplexed
@@ -66,6 +67,9 @@ TWIN = "MLT, wrong"
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every method on every scene; the image is of all lengths together."""
+    require(
+        config.runs >= 32, f"runs are 32 at least, for a standard error in a pixel that few reach, not {config.runs}"
+    )
     names, lengths = chosen(config.scenes, catalogue()), list(range(config.shortest, config.longest + 1))
     points = [(name, k, asdict(config), seed) for name in names for k in lengths]
     found = progress.map("scenes and lengths", measure, points)
