@@ -30,9 +30,9 @@ from mcmc1d.flatland.mutants.mutations import TakenForSymmetric
 from mcmc1d.flatland.mutations import VEACH, ManifoldStep
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import catalogue, scene
-from mcmc1d.numerics import require
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange, TechniqueChange
+from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
 
 
