@@ -106,21 +106,11 @@ def _target(config: Config, mixture: Technique) -> mcmc1d.Multiplexed:
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every integrator: replicas tested after `replica_steps`, then histograms, acceptance and autocorrelation."""
     edges = np.linspace(0, 1, config.bins + 1)
-    # The long ones first, so that no process waits for another's.
-    wrong = [name for name, right in RIGHT.items() if not right]
-    points = [(name, "simulated") for name in RIGHT] + [(name, "predicted") for name in wrong]
-    points += [(name, "mixing") for name in RIGHT]
-    found = progress.map("parts", measure, [(dataclasses.asdict(config), seed, *point) for point in points])
-    done = dict(zip(points, found, strict=True))
-    results = [xr.Dataset.from_dict(done[name, "simulated"]) for name in RIGHT]
+    points = [(dataclasses.asdict(config), seed, name) for name in RIGHT]
+    results = [xr.Dataset.from_dict(found) for found in progress.map("integrators", measure, points)]
     data = xr.concat(results, "integrator").assign_coords(integrator=list(RIGHT))
-    unknown = np.full(data.joint.shape[1:], np.nan)
-    predicted = np.array([done.get((name, "predicted"), unknown) for name in RIGHT])
     return data.assign(
         exact=(("technique", "bin"), _target(config, _MIXTURE).joint_masses(edges)),
-        predicted=(("integrator", "technique", "bin"), predicted),
-        prediction_distance=("integrator", [*map(total_variation, data.joint.to_numpy(), predicted)]),
-        autocorrelation_time=("integrator", [done[name, "mixing"] for name in RIGHT]),
         right=("integrator", list(RIGHT.values())),
         detectable_gap=smallest_gap(config.replicas, config.level),
         level=config.level,
@@ -129,24 +119,12 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     ).assign_coords(technique=list(TECHNIQUES), kind=list(KINDS), bin=(edges[1:] + edges[:-1]) / 2)
 
 
-def measure(fields: dict[str, Any], seed: int, name: str, part: str) -> Any:
-    """A part of one integrator's results: "simulated", "predicted" or "mixing"."""
+def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
+    """One integrator's results, as `xarray.Dataset.to_dict` has them."""
     config = Config(**fields)
     target, move = integrators(config)[name]
-    if part == "predicted":
-        # What a wrong integrator's law must be, from its transition operator; a right one's is the exact law.
-        edges = np.linspace(0, 1, config.bins + 1)
-        return transition_operator(move, target, points=config.operator_points).law_of(edges).masses.tolist()
-    keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), list(RIGHT).index(name)), 4)
-    if part == "mixing":
-        chains = mcmc1d.trace(keys[2], move, target, steps=config.trace_steps, chains=config.trace_chains)
-        return float(emcee.autocorr.integrated_time(chains.x[:, :, None], quiet=True)[0])
-    return _simulated(config, name, keys)
-
-
-def _simulated(config: Config, name: str, keys: jax.Array) -> dict[str, Any]:
-    """Histograms, tests and acceptance, as `xarray.Dataset.to_dict` has them."""
-    target, move = integrators(config)[name]
+    key = jax.random.fold_in(jax.random.key(seed), list(RIGHT).index(name))
+    first, second, third, fourth = jax.random.split(key, 4)
     edges = np.linspace(0, 1, config.bins + 1)
     # One law for all: a wrong inverse changes neither f nor the densities.
     exact = _target(config, _MIXTURE).joint_masses(edges)
@@ -159,7 +137,7 @@ def _simulated(config: Config, name: str, keys: jax.Array) -> dict[str, Any]:
     # Independent chains, exact starts: a p-value without burn-in and without autocorrelation.
     replicas = long_run(
         f"{name}: replicas",
-        keys[0],
+        first,
         move,
         target,
         steps=config.replica_steps,
@@ -176,10 +154,10 @@ def _simulated(config: Config, name: str, keys: jax.Array) -> dict[str, Any]:
     start = jax.tree.map(lambda leaf: leaf[: config.chains], replicas.state)
     if not RIGHT[name] and config.burn > 0:
         size: dict[str, Any] = {"steps": config.burn, "chains": config.chains, "blocks": config.blocks}
-        start = long_run(f"{name}: burn-in", keys[3], move, target, start=start, **size, **common).state
+        start = long_run(f"{name}: burn-in", fourth, move, target, start=start, **size, **common).state
     long = long_run(
         f"{name}: histograms",
-        keys[1],
+        second,
         move,
         target,
         steps=config.steps,
@@ -189,20 +167,33 @@ def _simulated(config: Config, name: str, keys: jax.Array) -> dict[str, Any]:
         **common,
     )
     joint = long.mean("joint")
+    per_block = long.sums["joint"].sum(1) * config.blocks / (config.chains * config.steps)
+
+    chains = mcmc1d.trace(third, move, target, steps=config.trace_steps, chains=config.trace_chains)
+    time = emcee.autocorr.integrated_time(chains.x[:, :, None], quiet=True)
     acceptance = long.acceptance()
-    scale = config.blocks / (config.chains * config.steps)
+
+    # What a wrong integrator's law must be, from its transition operator; a right one's is the exact law.
+    predicted, noise = np.full(exact.shape, np.nan), np.nan
+    if not RIGHT[name]:
+        law = transition_operator(move, target, points=config.operator_points).law_of(edges)
+        predicted = law.masses
+        noise = _noise(long.sums["joint"] * config.blocks / (config.chains * config.steps))
     found = xr.Dataset(
         {
             "joint": (("technique", "bin"), joint),
-            "error_x": ("bin", (long.sums["joint"].sum(1) * scale).std(0, ddof=1) / np.sqrt(config.blocks)),
+            "error_x": ("bin", per_block.std(0, ddof=1) / np.sqrt(config.blocks)),
             "error_joint": (("technique", "bin"), long.standard_error("joint")),
-            "prediction_noise": np.nan if RIGHT[name] else _noise(long.sums["joint"] * scale),
+            "predicted": (("technique", "bin"), predicted),
+            "prediction_distance": total_variation(joint, predicted),
+            "prediction_noise": noise,
             "total_variation_x": total_variation(joint.sum(0), exact.sum(0)),
             "total_variation": total_variation(joint, exact),
             "p_x": p_value(counts.sum(0), exact.sum(0)),
             "p_joint": p_value(counts, exact),
             "gap": max(cdf_gap(counts.sum(0), exact.sum(0)), cdf_gap(counts, exact)),
             "acceptance": ("kind", [acceptance[kind] for kind in KINDS]),
+            "autocorrelation_time": float(time[0]),
         }
     )
     return found.to_dict()
