@@ -26,6 +26,8 @@ CALLS = {
     "flatland.Material(exponent='20')": "Material: exponent must be a whole number",
     "flatland.Material(exponent=2.5)": "Material: exponent must be a whole number from 1 to 200, not 2.5",
     "flatland.Segment((0, 0, 1), (1, 1))": "Segment: start is a point, two numbers",
+    "flatland.Segment((0, 0), (1, 1), name=5)": "Segment: the name must be a str",
+    "flatland.Segment((0, 1j), (1, 2))": "Segment: start is a point, two numbers",
     "flatland.Material(emission='1')": "Material: emission is a number, not '1'",
     "flatland.Pinhole((0.0, 0.0), (1.0, 0.0), pixels=2.5)": "Pinhole: pixels must be a whole number",
     "tempering.replicas(3, [1.0])": "replicas: the target must be a Target",

@@ -356,3 +356,11 @@ def test_paths_end_where_they_are_lost():
     assert [len(line) for line in axes.collections[0].get_segments()] == [3, 1]
     with pytest.raises(ValueError, match=r"\(paths, vertices, 2\), not \(3, 2\)"):
         draw_paths(axes, np.zeros((3, 2)))
+
+
+def test_walls_that_lie_on_each_other_but_for_rounding_overlap():
+    """Parallel to 5e-11, and 2e-10 apart at most: they passed for touching."""
+    lamp = Segment((0.0, 2.0), (4.0, 2.0), Material(1.0))
+    walls = Segment((0.0, 0.0), (4.0, 0.0)), Segment((1.0, 1e-10), (3.0, 2e-10))
+    with pytest.raises(ValueError, match="segment 0 and segment 1 cross or overlap"):
+        Scene("room", (*walls, lamp), Pinhole((2.0, 1.0), (0.0, 1.0)))
