@@ -50,7 +50,9 @@ class Config:
     log2_work: int = 30
     """No image may take more rays times segments."""
     longer: str = ""
-    """But four times as many in these scenes."""
+    """In these scenes it may take more."""
+    log2_longer: int = 4
+    """How many times as many."""
 
 
 PROFILES = {
@@ -61,7 +63,6 @@ PROFILES = {
         integrators="all",
         lengths=3,
         goal=0.01,
-        log2_work=32,
         longer="furnace box",
     ),
 }
@@ -86,7 +87,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             config.pixels,
             config.log2_pilot,
             config.goal,
-            config.log2_work + 2 * (s in longer),
+            config.log2_work + config.log2_longer * (s in longer),
             seed,
             level,
             *exact[s],

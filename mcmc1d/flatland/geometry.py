@@ -17,6 +17,9 @@ T = TypeVar("T")
 _WRITTEN_OUT = 32
 """Up to so many segments a ray is held against each in one expression, which fuses and vectorises over paths."""
 
+_CLEAR = 16
+"""How many roundings a hit keeps away from a joint: enough for facets that differ by some four degrees."""
+
 Numbers: TypeAlias = Float[Real, "..."]
 """A real number, or an array of them over the vertices of a path or the segments of a scene."""
 
@@ -79,7 +82,7 @@ class _Crossing(NamedTuple):
     along: Scalar
     """From the segment's start."""
     length: Scalar
-    """Of the segment."""
+    """Of the segment, with what it is lengthened by."""
 
 
 class Walls(eqx.Module):
@@ -88,6 +91,8 @@ class Walls(eqx.Module):
     Laid end to end, the segments make one line: a place in the scene is a number in [0, total), and a density "with
     respect to length" is one on that line. Beyond it, [total + j, total + j + 1) stands for a mirror's bounce on
     segment j.
+
+    Points are relative to the scene's centre, wherever that is: single precision is for the scene alone.
     """
 
     start: Float[Real, "n 2"]
@@ -110,7 +115,7 @@ class Walls(eqx.Module):
 
     def __init__(self, scene: Scene):
         """The sky stands off by a tenth of the scene's extent, and is the last four segments."""
-        ends = np.concatenate([scene.ends, _sky(scene)])
+        ends = np.concatenate([scene.ends, _sky(scene)]) - scene.centre
         along = ends[:, 1] - ends[:, 0]
         self.length = np.hypot(along[:, 0], along[:, 1])
         self.start, self.tangent = ends[:, 0], along / self.length[:, None]
@@ -138,6 +143,11 @@ class Walls(eqx.Module):
     def total(self) -> Scalar:
         """The length of the line."""
         return jnp.asarray(self.offsets[-1])
+
+    @property
+    def _rounding(self) -> Scalar:
+        """By how much a point of the scene may be off."""
+        return jnp.finfo(self.dtype).eps * jnp.asarray(self.length)[-2:].sum()
 
     def frame(self, segment: Index) -> Frame:
         """The unit vectors of a segment."""
@@ -177,16 +187,12 @@ class Walls(eqx.Module):
     def meet(self, origin: Vector, direction: Vector, leaving: Index) -> Hit:
         """What a ray meets first, other than the segment `leaving`, which it starts on (-1: it starts on none).
 
-        The length of `direction` does not matter. A segment is met a few roundings beyond an end that touches another:
-        they let nothing through. What stands free is as long as it is.
+        The length of `direction` does not matter.
         """
-        tolerance = 2 * jnp.finfo(self.dtype).eps * (self.length[-1] + self.length[-2])
-        lower = -tolerance * jnp.asarray(self.overhang[:, 0])
-        upper = self.length + tolerance * jnp.asarray(self.overhang[:, 1])
 
         def nearer(best: tuple[Scalar, Index], j: Index, crossing: _Crossing) -> tuple[Scalar, Index]:
             size = jnp.abs(crossing.across)
-            inside = (crossing.along >= lower[j] * size) & (crossing.along <= upper[j] * size)
+            inside = (crossing.along >= 0) & (crossing.along <= crossing.length * size)
             met = inside & (crossing.distance > 0) & (size > 0) & (j != leaving)
             # One quotient a segment: what decides whether it is met needs none.
             distance = crossing.distance / jnp.where(size > 0, size, 1)
@@ -201,7 +207,7 @@ class Walls(eqx.Module):
     def blocked(self, origin: Vector, end: Vector, leaving: Index, arriving: Index) -> Bool[Array, ""]:
         """Whether a segment other than the two stands between two points.
 
-        Without a tolerance: what only touches the line of sight does not block it, and neither do the segments' ends.
+        What only touches the line of sight does not block it, and neither do the segments' own ends.
         """
         origin, end = jax.lax.stop_gradient((origin, end))
 
@@ -214,8 +220,13 @@ class Walls(eqx.Module):
         return self._over_segments(origin, end - origin, stands, jnp.zeros(jnp.shape(origin.x), bool))
 
     def _over_segments(self, origin: Vector, direction: Vector, take: Callable, first: T) -> T:
-        """`take(carry, j, crossing)` over all segments: written out for a few, which fuses; in a loop for many."""
-        start, tangent, length = jnp.asarray(self.start), jnp.asarray(self.tangent), jnp.asarray(self.length)
+        """`take(carry, j, crossing)` over all segments: written out for a few, which fuses; in a loop for many.
+
+        A segment is a rounding longer at each end that touches another: they let nothing through. What stands free is
+        as long as it is.
+        """
+        tangent, beyond = jnp.asarray(self.tangent), self._rounding * jnp.asarray(self.overhang)
+        start, length = self.start - beyond[:, :1] * tangent, self.length + beyond.sum(1)
 
         def one(carry: T, j: Any) -> T:
             tangents = Vector(tangent[j, 0], tangent[j, 1])
@@ -233,11 +244,18 @@ class Walls(eqx.Module):
         return jax.lax.fori_loop(0, self.count, lambda j, carry: one(carry, j), first, unroll=4)
 
     def _along(self, origin: Vector, direction: Vector, segment: Index) -> Scalar:
-        """The same for one segment, within its ends: here derivatives are taken."""
+        """The same for one segment: here derivatives are taken.
+
+        Within its ends, and a few roundings away from one that touches another segment: a point that is rounded to lie
+        behind that one would see what it hides.
+        """
         across = direction.cross(self.frame(segment).tangent)
         to_start = self.point(segment, jnp.zeros_like(origin.x)) - origin
         along = to_start.cross(direction) / jnp.where(across == 0, 1, across)
-        return limit(along, 0, self.at(self.length, segment))
+        length = jnp.asarray(self.length)
+        clear = jnp.minimum(_CLEAR * self._rounding, length / 64)
+        first, last = clear * self.overhang[:, 0], length - clear * self.overhang[:, 1]
+        return limit(along, self.at(first, segment), self.at(last, segment))
 
     def _component(self, table: Float[Real, "n 2"], segment: Index) -> tuple[Scalar, Scalar]:
         return self.at(table[:, 0], segment), self.at(table[:, 1], segment)

@@ -23,7 +23,7 @@ from mcmc1d.flatland.scene import Scene, require_scene
 from mcmc1d.flatland.sensors import Sensor, sensor_of
 from mcmc1d.numerics import choose, limit, require, stratum
 from mcmc1d.targets import Target
-from mcmc1d.types import Array, Bool, Corners, Float, Index, Int, Scalar
+from mcmc1d.types import Array, Bool, Corners, Float, Index, Int, Real, Scalar
 
 
 class Geometry(NamedTuple):
@@ -62,6 +62,8 @@ class Paths(eqx.Module):
 
     walls: Walls
     sensor: Sensor
+    centre: Float[Real, " 2"]
+    """Of the scene: the points of walls and sensor are relative to it."""
     edges: int = eqx.field(static=True)
 
     def __init__(self, scene: Scene, edges: int):
@@ -69,7 +71,7 @@ class Paths(eqx.Module):
         require_scene(scene, "Paths: the scene")
         require_whole(edges, "Paths: edges")
         require(edges <= _LONGEST, f"Paths: {edges} edges; {_LONGEST} at most, or the densities leave single precision")
-        self.walls, self.sensor, self.edges = Walls(scene), sensor_of(scene), edges
+        self.walls, self.sensor, self.centre, self.edges = Walls(scene), sensor_of(scene), scene.centre, edges
 
     @property
     def dim(self) -> int:
@@ -115,7 +117,8 @@ class Paths(eqx.Module):
     def vertices(self, x: Float[Array, " d"]) -> Float[Array, "vertices 2"]:
         """The points in the plane, for pictures."""
         points = self._points(x)[0]
-        return jnp.stack([points.x, points.y], axis=-1)
+        x, y = self.centre
+        return jnp.stack([points.x + x, points.y + y], axis=-1)
 
     def segments(self, x: Float[Array, " d"]) -> Int[Array, " vertices"]:
         """The segment that each vertex is on; -1 at a pinhole."""

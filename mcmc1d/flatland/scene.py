@@ -3,6 +3,7 @@
 Plain numbers on the host: the tracer and the references, which share no code, both read a scene.
 """
 
+import sys
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +15,12 @@ from mcmc1d.numerics import require
 
 Point = tuple[float, float]
 
-_NUMBER = (int, float, np.integer, np.floating)
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a real number that a float holds; true and false are none."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return not isinstance(value, int) or abs(value) <= sys.float_info.max
 
 
 @dataclass(frozen=True)
@@ -39,22 +45,20 @@ class Material:
     def __post_init__(self):
         for name in ("emission", "lambert", "glossy", "mirror"):
             value = getattr(self, name)
-            require(isinstance(value, _NUMBER), f"Material: {name} is a number, not {value!r}")
+            require(_is_number(value), f"Material: {name} is a number, not {value!r}")
             require(np.isfinite(value) and value >= 0, f"Material: {name} must be finite and not negative: {value}")
         require(
             self.emission == 0 or 1e-9 <= self.emission <= 1e9,
             f"Material: emission must be 0, or from 1e-9 to 1e9 (single precision squares it), not {self.emission}",
         )
         require(
-            not isinstance(self.exponent, bool)
-            and isinstance(self.exponent, _NUMBER)
-            and self.exponent in range(1, 201),
+            _is_number(self.exponent) and self.exponent in range(1, 201),
             f"Material: exponent must be a whole number from 1 to 200, not {self.exponent!r}",
         )
         object.__setattr__(self, "exponent", int(self.exponent))
         require(
             self.reflectance <= 1 + 1e-12,
-            f"Material: the reflectances lambert + glossy + mirror must sum to 1 at most, not {self.reflectance:g}",
+            f"Material: the reflectances lambert + glossy + mirror must sum to 1 at most, not {self.reflectance}",
         )
 
     @property
@@ -107,8 +111,7 @@ class Pinhole:
             bool(np.isfinite(self.direction).all()) and np.hypot(*self.direction) > 0,
             f"Pinhole: direction must be finite and not zero, not {self.direction}",
         )
-        number = isinstance(self.half_angle, int | float | np.floating)
-        require(number, f"Pinhole: half_angle is a number, in radians, not {self.half_angle!r}")
+        require(_is_number(self.half_angle), f"Pinhole: half_angle is a number, in radians, not {self.half_angle!r}")
         require(
             0 < self.half_angle < 1.57,
             f"Pinhole: half_angle is in radians, over 0 and under 1.57, not {self.half_angle}",
@@ -133,7 +136,7 @@ class Wall:
 
 
 _NARROWEST = 1e-6
-"""Of the scene's extent, or of its distance from the origin: a narrower gap is lost in single precision."""
+"""Of the scene's extent: a narrower gap is lost in single precision."""
 
 
 @dataclass(frozen=True)
@@ -246,6 +249,12 @@ class Scene:
         points = self.ends.reshape(-1, 2)
         return float(np.ptp(points, axis=0).max()) or 1.0
 
+    @property
+    def centre(self) -> np.ndarray:
+        """The middle of that box, float64 of shape (2,)."""
+        points = self.ends.reshape(-1, 2)
+        return (points.min(0) + points.max(0)) / 2
+
     def _check_crossings(self) -> None:
         ends, tiny = self.ends, 1e-9 * self.extent
         for a in range(len(ends)):
@@ -266,7 +275,7 @@ class Scene:
     def _check_gaps(self) -> None:
         """A gap that single precision does not see is none: light would leak there, or a lamp lie in a wall."""
         tiny = 1e-9 * self.extent
-        seen = _NARROWEST * max(self.extent, float(np.abs(self.ends).max()))
+        seen = _NARROWEST * self.extent
         apart = gaps(self.ends)
         k, end, j = np.unravel_index(np.argmin(np.where(apart > tiny, apart, np.inf)), apart.shape)
         gap, (x, y) = apart[k, end, j], self.ends[k, end]
@@ -305,10 +314,9 @@ def require_scene(scene: Any, who: str) -> None:
 
 def _point(given: Any, who: str) -> Point:
     """The point as two floats, or `ValueError` unless it is one."""
-    point = np.asarray(given)
-    numbers = point.shape == (2,) and point.dtype.kind in "iuf"
-    require(numbers, f"{who} is a point, two numbers, not {given!r}")
-    return tuple(point.astype(np.float64).tolist())
+    point = np.asarray(given, object)
+    require(point.shape == (2,) and all(map(_is_number, point)), f"{who} is a point, two numbers, not {given!r}")
+    return float(point[0]), float(point[1])
 
 
 __all__ = ["Material", "Pinhole", "Point", "Scene", "Segment", "Wall", "require_scene"]

@@ -80,9 +80,9 @@ class Camera(Sensor):
     """A."""
     pixels: int = eqx.field(static=True)
 
-    def __init__(self, pinhole: Pinhole):
-        """`pinhole`: as a scene describes it."""
-        self.position = np.asarray(pinhole.position, np.float64)
+    def __init__(self, pinhole: Pinhole, centre: np.ndarray):
+        """`pinhole`: as a scene describes it, whose `centre` is where the walls' points are relative to."""
+        self.position = np.asarray(pinhole.position, np.float64) - centre
         self.ahead = np.asarray(pinhole.direction, np.float64) / math.hypot(*pinhole.direction)
         self.width = np.asarray(2 * math.tan(pinhole.half_angle))
         self.pixels = pinhole.pixels
@@ -113,7 +113,9 @@ class Camera(Sensor):
         return Local(tangent * up, up)
 
     def direction_number(self, out: Local) -> Scalar:
-        return below_one(jnp.where(self._sees(out), self._film(out), 0))
+        # The nearer end: where the film is nearly the whole half-plane, a direction is rounded by more than a pixel.
+        film = jnp.where(out.up > 0, self._film(out), jnp.where(out.along > 0, 1, 0))
+        return below_one(jnp.maximum(film, 0))
 
     def log_density(self, out: Local) -> Scalar:
         sees = self._sees(out)
@@ -178,21 +180,27 @@ class WallSensor(Sensor):
         return self.number(walls, place)
 
 
+_NARROWEST_PIXEL = 4e-4
+"""At the distance 1: where walls meet, one reaches over the other by a millionth of the scene, or less."""
+
+
 def sensor_of(scene: Scene) -> Sensor:
     """The tracer's form of a scene's sensor; raises `ValueError` where single precision does not see through it."""
     if isinstance(scene.sensor, Pinhole):
         pinhole = scene.sensor
+        wide = 2 * math.tan(pinhole.half_angle) / pinhole.pixels
         require(
-            pinhole.half_angle >= 1e-4,
-            f"scene {scene.name}: the pinhole's half_angle of {pinhole.half_angle:.2g} is lost in single precision; "
-            "the exact image takes it, the tracer 1e-4 at least",
+            wide >= _NARROWEST_PIXEL,
+            f"scene {scene.name}: a pixel of the pinhole is {wide:.2g} wide (2 tan(half_angle) / pixels), which single "
+            f"precision does not see well; the exact image takes it, the tracer {_NARROWEST_PIXEL:g} at least",
         )
+        away = float(np.abs(pinhole.position - scene.centre).max())
         require(
-            float(np.abs(pinhole.position).max()) <= 100 * scene.extent,
+            away <= 100 * scene.extent,
             f"scene {scene.name}: the pinhole at {pinhole.position} is over 100 times the walls' {scene.extent:.3g} "
             "away, where single precision does not tell them well; bring it nearer",
         )
-        return Camera(pinhole)
+        return Camera(pinhole, scene.centre)
     segment = scene.sensor_segment
     assert segment is not None
     return WallSensor(segment, scene.sensor.pixels)

@@ -1,5 +1,6 @@
 """Rays and what they meet, at the ends of walls; where a path arrives on the film by way of mirrors."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from mcmc1d.flatland import Bidirectional, Light, Material, Paths, Pinhole, Scene, Segment, Wall
 from mcmc1d.flatland.geometry import Vector, Walls
+from mcmc1d.flatland.plane import cross
 from mcmc1d.flatland.scenes import polygon
 from mcmc1d.numerics import cast
 
@@ -20,15 +22,38 @@ def slit(width):
     return Scene("slit", (below, above, Segment((4, 0), (4, 2), LAMP)), EYE)
 
 
+def looked(scene, aims, look):
+    """Of each ray from the pinhole at (0, 1) to x = 2, y = `aims`, in float32, what `look` says of it."""
+    (x, y), aims = scene.centre, np.asarray(aims)
+    eye = Vector(jnp.float32(0 - x), jnp.float32(1 - y))
+    ways = Vector(jnp.full(aims.shape, 2 - x, jnp.float32), jnp.asarray(aims - y, jnp.float32)) - eye
+    return jax.tree.map(np.asarray, _looked(look, cast(Walls(scene), jnp.float32), eye, ways))
+
+
+@eqx.filter_jit
+def _looked(look, walls, eye, ways):
+    return jax.vmap(lambda way: look(walls, eye, way))(ways)
+
+
+def hit(walls, eye, way):
+    """The segment that is met first."""
+    return walls.meet(eye, way, -1).segment
+
+
+def place_of_hit(walls, eye, way):
+    """That segment, and where."""
+    hit = walls.meet(eye, way, -1)
+    return hit.segment, walls.point(hit.segment, hit.along)
+
+
+def stopped(walls, eye, way):
+    """Whether something stands between the eye and a point that is twice as far."""
+    return walls.blocked(eye, eye + way * 2.0, -1, -1)
+
+
 def met(scene, aims):
-    """The segments that rays from the pinhole at (0, 1) meet on their way to x = 2, y = `aims`, in float32."""
-    walls = cast(Walls(scene), jnp.float32)
-    aims = np.asarray(aims, np.float32)
-
-    def one(aim):
-        return walls.meet(Vector(jnp.float32(0), jnp.float32(1)), Vector(jnp.float32(2), aim - 1), -1).segment
-
-    return np.asarray(jax.jit(jax.vmap(one))(aims))
+    """The segments that those rays meet first."""
+    return looked(scene, aims, hit)
 
 
 @pytest.mark.parametrize("width", [2e-2, 2e-3, 1e-4, 2e-5])
@@ -47,19 +72,39 @@ JOINTS = {
 }
 
 
-@pytest.mark.parametrize("name", JOINTS)
-def test_nothing_passes_where_walls_touch(name):
-    """At the very point where they do, and a rounding beside it, turned by many angles, rays meet one of them."""
-    met_all = []
+def turned(pairs):
+    """Scenes of walls that meet at (2, 1.1), turned by many angles, with a lamp beyond."""
     for angle in np.linspace(0.1, 0.1 + 2 * np.pi, 48, endpoint=False):
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        walls = [Segment(*(tuple(turn @ end + [2.0, 1.1]) for end in pair)) for pair in JOINTS[name]]
-        scene = Scene("joint", (*walls, Segment((5.0, 0.0), (5.0, 3.0), LAMP)), EYE)
-        touching = np.isclose(scene.ends, [2.0, 1.1]).all(-1)
-        assert (scene.touching == touching).all()
-        near = np.nextafter(np.float32(1.1), np.array([0, 2], np.float32))
-        met_all.append(met(scene, [np.float32(1.1), *near]) < len(walls))
-    assert np.all(met_all)
+        ends = [[tuple(turn @ end + [2.0, 1.1]) for end in pair] for pair in pairs]
+        walls = [Segment(start, end) for start, end in ends]
+        yield Scene("joint", (*walls, Segment((5.0, 0.0), (5.0, 3.0), LAMP)), EYE)
+
+
+AIMS = 1.1 + 1e-7 * np.arange(-3, 4)
+"""At the joint, and roundings beside it."""
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_nothing_passes_where_walls_touch(name):
+    """At the very point where they do, and a rounding beside it, rays meet one of them, and none is looked past."""
+    for scene in turned(JOINTS[name]):
+        assert (scene.touching == np.isclose(scene.ends, [2.0, 1.1]).all(-1)).all()
+        assert (met(scene, AIMS) < len(JOINTS[name])).all()
+        assert looked(scene, AIMS, stopped).all()
+
+
+def test_what_is_met_beside_a_joint_lies_clear_of_the_other_wall():
+    """In a hollow of ten degrees a point that is rounded to lie behind the other wall would have left the room."""
+    hits = 0
+    for scene in turned([((-0.7, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.6, 0.1))]):
+        segment, point = looked(scene, AIMS, place_of_hit)
+        on = segment < 2  # where a ray grazes both, it may pass beside them
+        other = 1 - segment[on]
+        start, along = scene.ends[:, 0] - scene.centre, scene.ends[:, 1] - scene.ends[:, 0]
+        assert (cross(along[other], np.stack([point.x, point.y], 1)[on] - start[other]) > 0).all()
+        hits += on.sum()
+    assert hits > 300
 
 
 def test_what_touches_is_hardly_longer_than_it_is():

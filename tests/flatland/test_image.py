@@ -90,3 +90,19 @@ def test_what_has_no_bound_neither_agrees_nor_differs():
     bounded = compare(Image([ONE]), np.array([[50.0, 1.2]]))
     assert bounded.differs
     assert not bounded.agrees
+
+
+def test_light_where_the_exact_image_is_dark_is_never_said_to_agree_within_nothing():
+    """A dark length is held to the light of all lengths; where there is none at all nothing agrees, but the dark."""
+    dim = Layer(1, 1.0, Sums(10**6, np.array([10.0, 0.0]), np.array([5.0, 0.0]), 1.0), None, 1.0)
+    lit = Layer(2, 1.0, Sums(10**6, np.array([1e5, 3e5]), np.array([4e4, 2e5]), 1.0), None, 1.0)
+    for dark in (0.0, 1e-24):  # what is left by rounding is no light
+        held = compare(Image((dim, lit)), np.array([[dark, 0.0], [0.1, 0.3]]))
+        assert held.agrees
+        assert held.detectable[0] == pytest.approx((radius([dim], 1e-5 / 6) + 2.326 * dim.error) / 0.2, rel=1e-3)
+    alone = compare(Image((dim,)), np.zeros((1, 2)))
+    assert not alone.agrees
+    assert not alone.differs
+    assert "nothing would be found in some" in str(alone)
+    black = Layer(1, 1.0, Sums(10**6, np.zeros(2), np.zeros(2), 1.0), None, 1.0)
+    assert compare(Image((black,)), np.zeros((1, 2))).agrees

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
@@ -13,6 +14,7 @@ from mcmc1d.flatland.integrators import integrate
 from mcmc1d.flatland.integrators.base import multiplexed
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.flatland.plane import cross
+from mcmc1d.flatland.scattering import Local
 from mcmc1d.flatland.scene import Material, Pinhole, Scene, Segment, Wall
 from mcmc1d.flatland.scenes import block, catalogue, office, polygon, scene
 from mcmc1d.weights import Power
@@ -294,7 +296,7 @@ EYE = Pinhole((1.0, 1.0), (0.0, -1.0))
         (lambda: Paths(Scene("far", (FLOOR,), replace(EYE, position=(2.0, 1e4))), 1), "100 times the walls' 4 away"),
         (
             lambda: Paths(Scene("thin", (FLOOR,), replace(EYE, half_angle=1e-5)), 1),
-            "half_angle of 1e-05 is lost in single",
+            "a pixel of the pinhole is .* wide .*, which single precision does not see well",
         ),
         (lambda: Scene("laid", (moved(FLOOR, 0.3), Segment((1.0, 0.1 + 0.2), (2.0, 0.1 + 0.2))), EYE), "overlap"),
         (
@@ -314,6 +316,31 @@ def test_what_single_precision_or_sense_does_not_take_is_refused(make, message):
 def moved(segment, up):
     (a, b), (c, d) = segment.start, segment.end
     return replace(segment, start=(a, b + up), end=(c, d + up))
+
+
+@pytest.mark.parametrize("name", ["box", "mirror_caustic"])
+def test_a_scene_far_from_the_origin_has_the_same_walls(name):
+    """To a millionth of what single precision would leave of them there."""
+    near, by = scene(name), np.array([250.0, -170.0])
+    segments = tuple(replace(s, start=tuple(by + s.start), end=tuple(by + s.end)) for s in near.segments)
+    sensor = near.sensor
+    if isinstance(sensor, Pinhole):
+        sensor = replace(sensor, position=tuple(by + sensor.position))
+    here, there = (Paths(one, 3) for one in (near, Scene("far", segments, sensor)))
+    both = (jax.tree.leaves((paths.walls, paths.sensor)) for paths in (here, there))
+    for a, b in zip(*both, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-11)
+    x = jnp.full(here.dim, 0.3)
+    np.testing.assert_allclose(there.vertices(x) - here.vertices(x), np.broadcast_to(by, (4, 2)), atol=1e-4)
+
+
+def test_what_a_wide_pinhole_sees_at_one_end_is_not_at_the_other():
+    """Over 179.9 degrees a direction is rounded by more than a pixel: it was taken for one beside the film, at 0."""
+    camera = Paths(Scene("wide", (FLOOR,), replace(EYE, half_angle=1.5698)), 1).sensor
+    for end in (-1.0, 1.0):
+        for up in (1e-5, 0.0, -1e-5):
+            beyond = Local(jnp.float32(end * np.sqrt(1 - up * up)), jnp.float32(up))
+            assert camera.direction_number(beyond) == pytest.approx((1 + end) / 2, abs=1e-6)
 
 
 @pytest.mark.slow

@@ -24,7 +24,8 @@ class Comparison(NamedTuple):
     detectable: np.ndarray
     """The error that would be found with probability 0.99, relative to the pixel or, if larger, the image's mean.
 
-    Infinite where what is summed has no bound, and zero where both images are known to be dark.
+    To the mean of the total in a length that the exact image has dark. Infinite where what is summed has no bound, or
+    the exact image is dark in all and the other is not; zero where both are dark.
     """
 
     def __str__(self) -> str:
@@ -114,6 +115,10 @@ def _martingale_radius(variances: np.ndarray, ranges: np.ndarray, level: float) 
     return (_RATES[:, None] / 2 * total + log / _RATES[:, None]).min(0)
 
 
+_DARK = 1e-12
+"""Of the light of all lengths: less than this share is none."""
+
+
 def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, level: float = 1e-5) -> Comparison:
     """Hold an image to exact `values`, (lengths, pixels), known to `errors`: each length, and the total.
 
@@ -142,9 +147,11 @@ def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, 
     known = np.concatenate([errors, errors.sum(0)[None]])
     missed = np.maximum(np.abs(exact - found) - known, 0)
     excess = np.where(missed > 0, missed / np.maximum(around, np.finfo(np.float64).tiny), 0)
-    scale = np.maximum(exact, exact.mean(1, keepdims=True))
-    widest = around + known - ndtri(0.01) * error
-    detectable = np.where(scale > 0, widest / np.where(scale > 0, scale, 1), 0)
+    mean = exact.mean(1, keepdims=True)
+    # What is left of a dark length by rounding is no scale.
+    scale = np.maximum(exact, np.where(mean > _DARK * mean[-1], mean, mean[-1]))
+    widest = np.where((scale > 0) | (found > 0), around + known - ndtri(0.01) * error, 0)
+    detectable = np.divide(widest, scale, out=np.where(widest > 0, np.inf, 0), where=scale > 0)
     return Comparison(excess, detectable)
 
 
