@@ -87,8 +87,11 @@ class Maximum(Weights):
         best, largest = jnp.zeros((), jnp.int32), log_p[0]
         for i, p in enumerate(log_p[1:], 1):
             best, largest = jnp.where(p > largest, i, best), jnp.maximum(p, largest)
-        share = jnp.where(jnp.isnan(largest), jnp.nan, 0.0)  # which a comparison does not see
-        return [jnp.where(best == i, share.astype(p.dtype), -jnp.inf) for i, p in enumerate(log_p)]
+        # A comparison does not see a NaN: whichever density it is of, it is no technique's to stand for x.
+        return [
+            jnp.where(jnp.isnan(largest), jnp.nan, jnp.where(best == i, 0, -jnp.inf)).astype(p.dtype)
+            for i, p in enumerate(log_p)
+        ]
 
 
 class FromFunction(Weights):

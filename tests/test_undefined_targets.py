@@ -14,7 +14,7 @@ from mcmc1d.subchain import SplitSample, SubChain
 from mcmc1d.targets import FromFunction
 from mcmc1d.techniques import Inversion, Technique
 from mcmc1d.verify import deposit_law, transition_operator
-from mcmc1d.weights import Maximum, Power
+from mcmc1d.weights import Balance, Maximum, Power
 
 NARROW = 0.300123  # no probe lies within 1e-4 of it: they are 4.9e-4 apart
 
@@ -77,6 +77,15 @@ def test_what_is_not_a_number_is_no_zero(techniques, weights, message):
     for look in (mcmc1d.normalisation, lambda key, chain: mcmc1d.exact_start(key, chain, 64)):
         with pytest.raises(ValueError, match=message):
             look(jax.random.key(0), chain)
+
+
+@pytest.mark.parametrize("weights", [Balance(), Power(), Maximum()])
+@pytest.mark.parametrize("log_p", [(jnp.nan, -0.5), (-0.5, jnp.nan), (-0.5, jnp.nan, 0.5)])
+def test_one_density_that_is_not_a_number_leaves_no_weight(weights, log_p):
+    """Nor of the techniques whose own density is known: by the maximum heuristic they had a weight of zero."""
+    log_p = [jnp.float32(p) for p in log_p]
+    found = [weights.log_ratio(jnp.float32(0.3), log_p, jnp.int32(i)) for i in range(len(log_p))]
+    assert np.isnan([*weights.log_weights(jnp.float32(0.3), log_p), *found]).all()
 
 
 def test_where_f_is_zero_weights_do_not_matter():
