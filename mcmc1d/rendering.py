@@ -24,7 +24,7 @@ from mcmc1d.pixels import Pixels, masses, resample
 from mcmc1d.quadrature import midpoints
 from mcmc1d.random import uniforms
 from mcmc1d.stages import Stage
-from mcmc1d.starts import uniform_states
+from mcmc1d.starts import independent_states, uniform_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Target
 from mcmc1d.techniques import Technique
@@ -303,10 +303,9 @@ def _exact_starts(key: Key, target: Multiplexed, chains: int, dtype: Any) -> tup
 
     def draw(carry: tuple[Array, State, Array, Array, Array]) -> tuple[Array, State, Array, Array, Array]:
         attempt, state, done, bound, finite = carry
-        w = uniforms(key, attempt, (target.dim_u + 2, chains), dtype)
-        fresh = uniform_states(target, w[0], w[2:])
+        fresh, uniform = independent_states(key, attempt, target, chains, dtype)
         density = fresh.seen.log_c
-        kept = ~done & (jnp.log(w[1]) < density - bound)
+        kept = ~done & (jnp.log(uniform) < density - bound)
         exceeded = density.max() > bound
         state = State(jnp.where(kept, fresh.index, state.index), jnp.where(kept, fresh.u, state.u))
         bound = jnp.where(exceeded, density.max() + jnp.log(1.25), bound)

@@ -117,9 +117,10 @@ def accepted(
     """`count` exact draws from each of several densities by rejection, (rows count) states.
 
     Arguments: `candidates`, of a batch's number, m of them: states, the first axis counting them, the density of each,
-    which is of the row that `owner` names, and a uniform number for each; `bound`, that the rows' densities are thought
-    not to exceed: where a candidate does, it is raised, and the row's are drawn again. `ValueError` with the `fix` to
-    give, where they are too narrow.
+    which is of the row that `owner` names, and a uniform number for each, finer than the least density over the bound
+    that matters (see `independent_states`); `bound`, that the rows' densities are thought not to exceed: where a
+    candidate does, it is raised, and the row's are drawn again. `ValueError` with the `fix` to give, where they are
+    too narrow.
     """
     rows, bound = len(bound), bound.copy()
     kept: list[list[State]] = [[] for _ in bound]
@@ -207,11 +208,25 @@ def uniform_states(
     return jax.vmap(target.evaluate, in_axes=-1, out_axes=-1)(State(index, u))
 
 
+def independent_states(
+    key: Key, step: Int[Array, ""] | int, target: Multiplexed, count: int, dtype: Any, only: int | None = None
+) -> tuple[State, Float[Array, " count"]]:
+    """`uniform_states` of the numbers of `step`, and a uniform number for each, by which it is accepted or rejected.
+
+    That one is made of two. One alone is a multiple of 2^-23 in float32: whatever is under one, a density of 1e-12 of
+    the bound too, would be accepted with that probability. Of two, a probability of more than 2^-46 is met to a
+    relative 2^-24.
+    """
+    numbers = uniforms(key, step, (target.dim_u + 2, count), dtype)
+    inside = uniforms(key, ~step, (1, count), dtype)[0]  # of a counter that no step has: it would be negative
+    uniform = numbers[1] + jnp.finfo(dtype).eps.astype(dtype) * inside
+    return uniform_states(target, numbers[0], numbers[2:], only), uniform
+
+
 @quickly
 def _draw(
     key: Key, target: Multiplexed, count: int, dtype: Any, only: int | None = None
 ) -> tuple[State, Float[Array, " count"], Float[Array, " count"]]:
-    """`uniform_states`, the first axis counting them, their densities, and a uniform number for each."""
-    numbers = uniforms(key, _DRAWS, (target.dim_u + 2, count), dtype)
-    state = uniform_states(target, numbers[0], numbers[2:], only)
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), state), jnp.exp(state.seen.log_c), numbers[1]
+    """`independent_states`, the first axis counting them, with their densities before the uniform numbers."""
+    state, uniform = independent_states(key, _DRAWS, target, count, dtype, only)
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), state), jnp.exp(state.seen.log_c), uniform

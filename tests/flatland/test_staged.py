@@ -12,7 +12,7 @@ from mcmc1d.flatland import Light, Paths
 from mcmc1d.flatland.importance import OverPixels, Shader, Touches
 from mcmc1d.flatland.integrators import Image, Stacked, StagedMLT
 from mcmc1d.flatland.integrators.compare import compare
-from mcmc1d.flatland.integrators.exposure import exact_starts, highest_seen
+from mcmc1d.flatland.integrators.exposure import _candidates, exact_starts, highest_seen
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
 
@@ -74,6 +74,13 @@ def test_starts_have_the_law_of_each_row(exact):
     error = np.sqrt(shares * (1 - shares) / pixel.shape[1])
     assert np.all(np.abs(found - shares) < 6 * error)
     assert np.any(np.abs(found - shares[::-1]) > 6 * error)
+
+
+def test_starts_are_rejected_by_a_number_that_is_finer_than_float32s():
+    """Of one number of 23 bits whatever is dark, but for one in 2^23, would be kept one time in 2^23."""
+    *_, uniform = _candidates(jax.random.key(6), StagedMLT().target(Paths(BOX, 2)), 0)
+    low = uniform[uniform < 1 / 16].astype(np.float64)
+    assert 0.45 < np.mean(low * 2**23 % 1) < 0.55  # of 512 numbers, 4 standard errors
 
 
 def test_the_importance_is_the_light_times_its_factors():

@@ -18,7 +18,7 @@ from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
-from mcmc1d.starts import accepted, uniform_states
+from mcmc1d.starts import accepted, independent_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
@@ -186,10 +186,9 @@ def _drawn(
     """Independent (index, u), the density of each, its pixel, and a uniform number."""
     dtype = jnp.zeros(()).dtype
     target = cast(target, dtype)
-    numbers = uniforms(key, attempt, (target.dim_u + 2, _CANDIDATES), dtype)
-    state = uniform_states(target, numbers[0], numbers[2:])
+    state, uniform = independent_states(key, attempt, target, _CANDIDATES, dtype)
     pixel = jax.vmap(_light(target).light.paths.pixel, in_axes=-1)(state.seen.x)
-    return State(state.index, state.u), jnp.exp(state.seen.log_c), pixel, numbers[1]
+    return State(state.index, state.u), jnp.exp(state.seen.log_c), pixel, uniform
 
 
 EXAMPLES = Examples(lambda: {"moments": Moments(LIT["light"].paths, 64)})
