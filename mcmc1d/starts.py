@@ -14,10 +14,11 @@ from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Key
 
-_MOST_ATTEMPTS = 10_000
 _LARGEST_LOG = 300.0  # of a density, whose square float64 must hold
 _DARK = "nothing to start from, or log f is so low that f is 0 in float64: add a constant to it"
 _CANDIDATES = 2**16  # for exact starts, at once: one size, so that one program serves every count
+_PATIENCE = 2**22  # candidates of a row, after which it may be told that they will not do
+_MOST_CANDIDATES = 10_000 * 2**16  # of a row
 
 # The counter of the numbers that are no step's: whatever key a user starts and runs with, none is used twice.
 _DRAWS = 2**31 - 1
@@ -123,6 +124,8 @@ def accepted(
     too narrow.
     """
     rows, bound = len(bound), bound.copy()
+    share = np.bincount(owner, minlength=rows)
+    require(bool(share.all()), f"{who}: {rows} densities, and a batch of {len(owner)} has no candidates for some")
     kept: list[list[State]] = [[] for _ in bound]
     found, since = np.zeros(rows, int), np.zeros(rows, int)
     batch = 0
@@ -141,10 +144,10 @@ def accepted(
             found[r] += mine.size
         # Long before the last candidate it can be told that they will not do.
         r = int(np.argmin(found))
-        tried = int((batch - since[r]) * np.sum(owner == r))
-        hopeless = tried >= 64 * _CANDIDATES and found[r] * _MOST_ATTEMPTS * _CANDIDATES < count * tried
+        tried = int((batch - since[r]) * share[r])
+        hopeless = tried >= _PATIENCE and found[r] * _MOST_CANDIDATES < count * tried
         require(
-            found[r] >= count or (batch < _MOST_ATTEMPTS and not hopeless),
+            found[r] >= count or (batch * int(share[r]) < _MOST_CANDIDATES and not hopeless),
             f"{who}: {found[r]} of {count} states after {tried} candidates, because the density reaches "
             f"{bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}",
         )

@@ -87,6 +87,21 @@ def test_few_that_are_rare_are_waited_for():
     assert np.all(np.asarray(found.u) < 1 / 30_000)
 
 
+def test_few_in_a_batch_are_waited_for_as_long():
+    """One candidate a batch, and the first that is lit in batch 10,000, where it was said that there are none."""
+
+    def candidates(batch):
+        return State(np.zeros(1, int), np.zeros((1, 1))), np.full(1, float(batch >= 10_000)), np.full(1, 0.5)
+
+    assert accepted("draws", candidates, np.zeros(1, int), np.ones(1), 1, "none").u.shape == (1, 1)
+
+
+def test_a_density_without_candidates_is_refused():
+    """They were waited for, and were told as those of a narrow peak."""
+    with pytest.raises(ValueError, match="draws: 5 densities, and a batch of 512 has no candidates for some"):
+        accepted("draws", batches([lambda x: 1.0] * 4), OWNER, np.ones(5), 1, "none")
+
+
 def test_what_is_never_accepted_is_told_before_the_last_candidate():
     def candidates(batch):
         return State(np.zeros(2**16, int), np.zeros((2**16, 1))), np.zeros(2**16), np.ones(2**16)
