@@ -5,8 +5,9 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
+from mcmc1d.checks import require_whole
 from mcmc1d.image import Film
-from mcmc1d.numerics import require
+from mcmc1d.numerics import require, require_positive
 from mcmc1d.perception import noise_target
 from mcmc1d.pixels import Pixels, resample
 
@@ -24,7 +25,11 @@ def plan(side: int, samples: int, scheme: str = "text", linear: int = 10) -> lis
     The text and the listing differ. `"text"`: a quarter of the samples goes to the doubling, the rest to `linear`
     (10) stages above half. `"listing"`: k M throughout, and half the side comes again: eleven stages, and about
     10.8 % for the doubling. Sides that are not whole are rounded.
+
+    Raises `ValueError` unless the numbers are whole and positive, `side` 2 at least, and there is such a scheme.
     """
+    for name, value in {"side": side, "samples": samples, "linear": linear}.items():
+        require_whole(value, f"plan: {name}")
     require(side >= 2, f"plan: an image of {side} pixel a side has no stages; give 2 at least")
     require(scheme in ("text", "listing"), f'plan: scheme must be "text" or "listing", not {scheme!r}')
     doubling = [2**j for j in range(side.bit_length()) if 2**j <= side / 2]
@@ -49,6 +54,9 @@ class MultiStage(eqx.Module):
     pixels: Pixels
     floor: float = 0.01
 
+    def __check_init__(self):
+        require_positive(self, floor=self.floor)
+
     def __call__(self, film: Film | None, regions: int) -> np.ndarray:
         if film is None:
             return np.ones((1,) + (regions,) * self.pixels.dim)
@@ -68,6 +76,9 @@ class NoiseAware(eqx.Module):
     base: MultiStage
     exposure: float
     variance: str = "integral"
+
+    def __check_init__(self):
+        require_positive(self, exposure=self.exposure)
 
     def __call__(self, film: Film | None, regions: int) -> np.ndarray:
         base = self.base(film, regions)

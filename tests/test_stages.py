@@ -155,6 +155,14 @@ def test_the_bilateral_filter_smooths_and_keeps_edges():
     [
         (lambda: plan(1, 100), "has no stages"),
         (lambda: plan(8, 100, "paper"), '"text" or "listing"'),
+        (lambda: plan(0, 100), "plan: side must be a whole number, 1 at least, not 0"),
+        (lambda: plan(8, 0), "plan: samples must be a whole number, 1 at least, not 0"),
+        (lambda: plan(8, 100, linear=0), "plan: linear must be a whole number, 1 at least, not 0"),
+        (lambda: MultiStage(SCENE.pixels, 0.0), "MultiStage: floor must be positive and finite, not 0.0"),
+        (
+            lambda: NoiseAware(MultiStage(SCENE.pixels), -1.0),
+            "NoiseAware: exposure must be positive and finite, not -1.0",
+        ),
         (lambda: RENDERER.render(jax.random.key(0), plan(8, 64), MultiStage(SCENE.pixels), "image"), "b must be"),
         (lambda: RENDERER.render(jax.random.key(0), [], MultiStage(SCENE.pixels)), "one stage at least"),
         (lambda: RENDERER.render(jax.random.key(0), [Stage(9, 64)], MultiStage(SCENE.pixels)), "9 regions a side"),
@@ -178,18 +186,18 @@ def test_an_importance_that_can_not_be_sampled_is_refused(value, message):
 
 
 @pytest.mark.parametrize(
-    ("f", "message"),
+    ("f", "chains", "message"),
     [
         # The height of the peak lies on the grid of the bound, and nearly no candidate ever falls on it.
-        (lambda x: jnp.where(jnp.abs(x - 512.5 / 1024) < 1e-7, 1e7, 1e-3), "262144 candidates for each.* narrow peak"),
+        (lambda x: jnp.where(jnp.abs(x - 512.5 / 1024) < 1e-7, 1e7, 1e-3), 64, "262144 candidates for each.* narrow"),
         # Between the probes of Multiplexed, and those of the exact masses.
-        (lambda x: jnp.where(jnp.abs(x - 252 / 2048) < 2e-5, jnp.nan, 1.0), "NaN or infinite somewhere"),
+        (lambda x: jnp.where(jnp.abs(x - 252 / 2048) < 2e-5, jnp.nan, 1.0), 4096, "NaN or infinite somewhere"),
     ],
 )
-def test_starts_that_can_not_be_drawn_are_refused(f, message):
+def test_starts_that_can_not_be_drawn_are_refused(f, chains, message):
     scene = Scene(FromFunction(f, breaks=(512.5 / 1024 - 1e-7, 512.5 / 1024 + 1e-7)), Uniform(), Pixels(8))
     with pytest.raises(ValueError, match=message):
-        Renderer(scene, SmallStep(0.1), 2, 4096).plain(jax.random.key(0), 4096)
+        Renderer(scene, SmallStep(0.1), 2, chains).plain(jax.random.key(0), 4096)
 
 
 def test_no_key_serves_twice(monkeypatch):

@@ -120,6 +120,9 @@ def test_plans():
         ({"chains": 1}, "must be a whole number, 2 at least, not 1"),
         ({"test_share": 1.0}, "test_share and test_regions are shares"),
         ({"spent_on_b": 0.0}, "spent_on_b must be positive"),
+        ({"linear": 0}, "StagedMLT: linear must be a whole number, 1 at least, not 0"),
+        ({"floor": -0.1}, "StagedMLT: floor must be positive"),
+        ({"luminance": 0.0}, "StagedMLT: luminance must be positive"),
     ],
 )
 def test_settings_that_are_refused(settings, message):

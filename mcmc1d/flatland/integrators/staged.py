@@ -19,7 +19,7 @@ from mcmc1d.flatland.scene import Scene
 from mcmc1d.image import Film
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange
-from mcmc1d.numerics import require
+from mcmc1d.numerics import require, require_positive
 from mcmc1d.perception import EXPOSURE
 from mcmc1d.pixels import Pixels, resample
 from mcmc1d.stages import MultiStage, NoiseAware, Stage, plan
@@ -92,7 +92,8 @@ class StagedMLT(Integrator):
     def __check_init__(self):
         require(self.scheme in SCHEMES, f"StagedMLT: scheme must be one of {', '.join(SCHEMES)}, not {self.scheme!r}")
         require_whole(self.chains, "StagedMLT: chains, for a standard error,", 2)
-        require(self.spent_on_b > 0, f"StagedMLT: spent_on_b must be positive, not {self.spent_on_b}")
+        require_whole(self.linear, "StagedMLT: linear")
+        require_positive(self, floor=self.floor, luminance=self.luminance, spent_on_b=self.spent_on_b)
         shares = self.test_share, self.test_regions
         require(
             0 < shares[0] < 1 and 0 < shares[1] <= 1,
