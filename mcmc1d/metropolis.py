@@ -34,8 +34,8 @@ class Deposits(eqx.Module):
 class Deposited(NamedTuple):
     """What a kernel's deposits are samples of, in expectation over a stationary chain."""
 
-    target: Multiplexed
-    """The deposits' x have the law of its x."""
+    target: Multiplexed | None
+    """The deposits' x have the law of its x; None where no law is known of them."""
     total: float = 1.0
     """The expected total weight of a step."""
     most: float = 1.0

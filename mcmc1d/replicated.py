@@ -20,6 +20,9 @@ from mcmc1d.targets.base import edges_of_each, unit_cube
 from mcmc1d.techniques.product import cube
 from mcmc1d.types import Array, Corners, Float, Real, Scalar
 
+_ALIKE = 1e-6
+"""How far shares may be from the exact ones: far less than `verify` sees, more than float32 rounds."""
+
 
 class Replicated(Target):
     """prod_i C_i(u_i), C_i = w_i f / p_i: independent chains, one for each technique, as one point of a larger cube.
@@ -80,7 +83,9 @@ def replicated(multiplexed: Multiplexed, techniques: tuple[int, ...] | None = No
 class ReplicaDeposit(OfMove[Move]):
     """Step, and deposit the sample of every replica, with weight `shares`; a deposit's index is its technique.
 
-    With c_i / sum_j c_j as shares, the deposits have the law f / b.
+    With c_i / sum_j c_j as shares, the deposits have the law f / b. No law is known of them where the shares are not
+    these to 1e-6 of the whole, where a technique that has no replica contributes, and where the c_i are not known
+    exactly: of a target in more than two dimensions.
     """
 
     move: Move
@@ -104,8 +109,22 @@ class ReplicaDeposit(OfMove[Move]):
         return _replicated(target).multiplexed
 
     def deposited(self, target: Multiplexed) -> Deposited:
-        total = float(np.sum(self.shares))
-        return Deposited(_replicated(target).multiplexed, total, total)
+        own, total = _replicated(target), float(np.sum(self.shares))
+        known = total > 0 and self._in_proportion(own, np.asarray(self.shares, np.float64) / total)
+        return Deposited(own.multiplexed if known else None, total, total)
+
+    def _in_proportion(self, own: Replicated, shares: Float[np.ndarray, " n"]) -> bool:
+        """Whether they are known to be those of the techniques in f."""
+        ends = np.stack([np.asarray(end, np.float64) for end in own.multiplexed.target.domain])
+        if ends.shape not in ((2,), (2, 2)):
+            return False
+        try:
+            masses = own.multiplexed.joint_masses(ends if ends.ndim == 1 else (ends[:, 0], ends[:, 1]))
+        except ValueError:  # f, or a weight, has a jump that nothing names
+            return False
+        given = np.zeros(own.multiplexed.n_techniques)
+        given[list(own.techniques)] = shares
+        return bool(np.abs(given - masses.reshape(len(given), -1).sum(1)).max() <= _ALIKE)
 
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         own = _replicated(target)

@@ -61,17 +61,53 @@ def test_its_deposits_are_samples_of_f():
     assert verify.verify(SWAPPING, replicated(PAIR), **options).passed
 
 
-def test_verify_holds_its_deposits_to_f():
-    """Level 1e-5. Of wrong shares, 0.8 and 0.2 for 0.54 and 0.46, the deposits are caught, and nothing else."""
-    c = np.array([Replicated(PAIR, (i,)).bin_masses(EDGES).sum() for i in (0, 1)])
-    options = {"replicas": 2**14, "reversible": False, "steps": (1, 4, 16)}
-    assert verify.verify(ReplicaDeposit(SWAPPING, c / c.sum()), replicated(PAIR), **options).passed
-    wrong = verify.verify(ReplicaDeposit(SWAPPING, np.array([0.8, 0.2])), replicated(PAIR), **options)
+@pytest.fixture(scope="module")
+def shares():
+    """Of the two techniques in f."""
+    return PAIR.joint_masses([0.0, 1.0])[:, 0]
+
+
+OPTIONS = {"replicas": 2**14, "reversible": False, "steps": (1, 4, 16)}
+
+
+class Claimed(ReplicaDeposit):
+    """Says that its shares are those of the techniques, whatever they are."""
+
+    def _in_proportion(self, own, given):
+        return True
+
+
+def test_verify_holds_its_deposits_to_f(shares):
+    """Level 1e-5. Of wrong shares, 0.8 and 0.2 for 0.48 and 0.52, the deposits are caught, and nothing else."""
+    assert verify.verify(ReplicaDeposit(SWAPPING, shares), replicated(PAIR), **OPTIONS).passed
+    wrong = verify.verify(Claimed(SWAPPING, np.array([0.8, 0.2])), replicated(PAIR), **OPTIONS)
     assert {failure.layer for failure in wrong.failures} == {"deposits"}
 
 
-def test_a_cycle_and_a_sub_chain_say_what_they_deposit():
-    kernel = ReplicaDeposit(SWAPPING, np.array([0.5, 0.5]))
+def test_of_other_shares_no_law_is_promised():
+    """They failed, though who wants samples of each technique makes no mistake; now the deposits are not looked at."""
+    report = verify.verify(ReplicaDeposit(SWAPPING, np.array([0.8, 0.2])), replicated(PAIR), **OPTIONS)
+    assert report.verdict.value == "INCONCLUSIVE"
+    assert not report.failures
+    assert any("deposits are of another law" in reason for reason in report.reasons)
+
+
+def test_which_shares_are_known_to_be_right(shares):
+    """In any unit and in float32; not where they are off by 1e-5, nor where a technique has no replica."""
+
+    def promised(given, techniques=None):
+        return ReplicaDeposit(SWAPPING, given).deposited(replicated(PAIR, techniques))
+
+    for right in (shares, 3 * shares, jnp.asarray(shares, jnp.float32)):
+        assert promised(right).target is PAIR
+        assert promised(right).total == promised(right).most == pytest.approx(np.sum(right))
+    for wrong in (shares + np.array([1e-5, -1e-5]), np.ones(2), np.zeros(2)):
+        assert promised(wrong).target is None
+    assert promised(np.ones(1), (1,)).target is None
+
+
+def test_a_cycle_and_a_sub_chain_say_what_they_deposit(shares):
+    kernel = ReplicaDeposit(SWAPPING, shares)
     assert mcmc1d.Cycle([kernel, kernel]).deposited(replicated(PAIR)).target is PAIR
     assert SubChain(SWAPPING, kernel, 2).deposited(replicated(PAIR)).target is PAIR
     assert mcmc1d.Cycle([SWAPPING, SWAPPING]).deposited(replicated(PAIR)) is None

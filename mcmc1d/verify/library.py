@@ -36,9 +36,9 @@ class LibrarySubject(Subject):
         deposited = self.kernel.deposited(self.target)
         if deposited is not None:
             self.total, self.most = deposited.total, deposited.most
-            law = multiplexed_law(deposited.target)
+            known = {} if deposited.target is None else multiplexed_law(deposited.target).statistics
             # Of x alone: what index a deposit has is the kernel's own business. (Nothing, where no value is known.)
-            self.deposited = {name: known for name, known in law.statistics.items() if name.startswith("x")}
+            self.deposited = {name: statistic for name, statistic in known.items() if name.startswith("x")}
 
     def watch(self, seed: Sequence[int], first: int, start: Position, times: Sequence[int]) -> Iterator[Look]:
         kernel, target = cast(self.kernel, self.dtype), cast(self.target, self.dtype)

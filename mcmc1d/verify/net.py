@@ -46,8 +46,7 @@ def deposit_law(
     require_instance(target, Multiplexed, "deposit_law: the target")
     kernel.check(target)
     edges = rising(np.asarray(edges, np.float64), "deposit_law")
-    deposited = kernel.deposited(target)
-    of = (target if deposited is None else deposited.target).target
+    of = kernel.sampled(target).target
     require(np.ndim(of.domain[0]) == 0, f"deposit_law: x must be a scalar; {type(of).__name__} has none")
     require_cover("deposit_law", edges, of.domain, type(of).__name__)
     log2 = int(points).bit_length() - 1
