@@ -98,7 +98,7 @@ class Histogram(Estimator):
     Divided by the steps it converges to the bin masses of f / b, jointly to those of w_i f / b.
     """
 
-    edges: np.ndarray = eqx.field(static=False)
+    edges: np.ndarray
     joint: bool = eqx.field(static=True)
     regular: bool = eqx.field(static=True)
 
@@ -152,7 +152,7 @@ class Acceptance(Estimator):
         info, (accepted, proposed) = steps.info, sums
         # Summed by comparison, not by scatter: there are few kinds and many chains.
         kinds = range(proposed.shape[0])
-        gained = jnp.stack([jnp.where(info.kind == k, info.acceptance, 0).sum() for k in kinds])
+        gained = jnp.stack([jnp.where(info.kind == k, info.acceptance, 0).sum(dtype=accepted.dtype) for k in kinds])
         tried = jnp.stack([(info.kind == k).sum(dtype=proposed.dtype) for k in kinds])
         return accepted + gained, proposed + tried
 
@@ -178,7 +178,7 @@ class Expectation(Estimator):
         with jax.enable_x64(deposits.x.dtype == jnp.float64):  # the function is traced as the chains are
             # The chains are the last axis of x, after its own.
             found = jax.vmap(jax.vmap(one, in_axes=-1))(deposits.x, deposits.weight)
-        return jax.tree.map(lambda total, new: total + new.sum((0, 1)), sums, found)
+        return jax.tree.map(lambda total, new: total + new.sum((0, 1), dtype=total.dtype), sums, found)
 
 
 EXAMPLES = Examples(

@@ -42,7 +42,14 @@ def test_thousands_of_deposits_are_not_rounded_alike(small):
 
 
 def test_sums_are_float64_whatever_the_chains_are():
-    """2**22 times a third, by a user's estimator and by the library's, in float32 chains."""
+    """2**22 times a third, by a user's estimator and by the library's, in float32 chains; and that it is accepted."""
+
+    class Third(moves.LargeStep):
+        """A large step that is accepted with probability 1/3."""
+
+        def propose(self, target, state, w):
+            proposal = super().propose(target, state, w)
+            return eqx.tree_at(lambda p: p.log_det, proposal, jnp.log(jnp.float32(1) / 3))
 
     class Thirds(mcmc1d.estimators.Estimator):
         def init(self, target, kernel, dtype):
@@ -52,15 +59,18 @@ def test_sums_are_float64_whatever_the_chains_are():
             return sums.at[0].add((steps.deposits.weight / 3).sum(0)[0] * steps.deposits.x.shape[-1])
 
     third = np.float64(np.float32(1) / np.float32(3))
-    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Uniform())
-    kernel = mcmc1d.Metropolis(moves.LargeStep(), deposit="plain")
+    target = mcmc1d.Multiplexed(targets.FromFunction(lambda x: 1 + 0 * x), techniques.Uniform())
+    kernel = mcmc1d.Metropolis(Third(), deposit="plain")
     estimators = {"own": Thirds(), "expectation": mcmc1d.Expectation(lambda x: jnp.float32(1) / 3)}
+    estimators["acceptance"] = mcmc1d.Acceptance()
     run = mcmc1d.run(
         jax.random.key(0), kernel, target, steps=4096, chains=1024, blocks=1, estimators=estimators, dtype=jnp.float32
     )
     assert run.sums["expectation"].dtype == run.sums["own"].dtype == np.float64
-    assert run.mean("expectation") == pytest.approx(third, rel=1e-6)  # a step's 1024 are summed in float32
+    assert run.mean("expectation") == pytest.approx(third, rel=1e-13)
     assert run.mean("own")[0] == pytest.approx(third, rel=1e-13)
+    once = np.asarray(jnp.exp(jnp.log(jnp.float32(1) / 3)), np.float64)
+    assert run.acceptance()["Third"] == pytest.approx(once, rel=1e-13)
 
 
 TABLE = np.linspace(0, 1, 3)
