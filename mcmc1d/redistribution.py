@@ -71,6 +71,7 @@ def energy_redistribution(
     require_whole(replicas, "energy_redistribution: replicas")
     require_whole(length, "energy_redistribution: length")
     require(mutations > 0, f"energy_redistribution: mutations must be positive, not {mutations}")
+    require(energy is None or energy > 0, f"energy_redistribution: energy must be positive, not {energy}")
     mean = float(scene.region_masses(1).sum()) if energy is None else energy
     starts = max(1, round(samples / (1 + mutations)))
     quantum = mean * length / mutations
@@ -151,7 +152,7 @@ def _walk(
             w = uniforms(key, k, (kernel.dim_w(target), weight.shape[0]), dtype)
             step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
             step = eqx.tree_at(lambda s: s.deposits.weight, step, step.deposits.weight * weight[None])
-            return step.state, added(estimator, sums, step), accepted + (step.info.acceptance[0] * weight).sum()
+            return step.state, added(estimator, sums, step), accepted + (step.info.acceptance.mean(0) * weight).sum()
 
         begun = jax.vmap(target.evaluate, out_axes=-1)(state)
         zero = empty(estimator, target, kernel, dtype)

@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from mcmc1d import rendering
-from mcmc1d.moves import LargeStep, Mixture, SmallStep
+from mcmc1d.metropolis import Cycle
+from mcmc1d.moves import LargeStep, Mixture, Proposal, SmallStep
 from mcmc1d.perception import bilateral, density_statistics, noise_target, tvi, visual_error
 from mcmc1d.pixels import Pixels
 from mcmc1d.redistribution import energy_redistribution, independent
@@ -45,6 +46,21 @@ def test_energy_redistribution_is_unbiased(mutations):
     found = energy_redistribution(jax.random.key(0), SCENE, STEP, 2048, REPLICAS, length=20, mutations=mutations)
     assert np.abs(scores(found.film.image())).max() < 6
     assert found.work == pytest.approx(2048, rel=0.05)
+
+
+class Refused(LargeStep):
+    """A large step that is never accepted."""
+
+    def propose(self, target, state, w):
+        proposal = super().propose(target, state, w)
+        return Proposal(proposal.state, proposal.w, jnp.full_like(proposal.log_det, -jnp.inf))
+
+
+def test_the_acceptance_of_short_chains_is_that_of_all_their_kernels():
+    """Of two, of which one accepts all and the other nothing: it was that of the first."""
+    even, both = Scene(FromFunction(lambda x: 1 + 0 * x), Uniform(), Pixels(1)), Cycle([LargeStep(), Refused()])
+    found = energy_redistribution(jax.random.key(0), even, both, 256, 2, length=4, energy=1.0)
+    assert found.acceptance == pytest.approx(0.5)
 
 
 def test_independent_samples_and_two_stage_are_unbiased():
@@ -168,6 +184,7 @@ def test_the_bilateral_filter_smooths_and_keeps_edges():
         (lambda: RENDERER.render(jax.random.key(0), [Stage(9, 64)], MultiStage(SCENE.pixels)), "9 regions a side"),
         (lambda: Renderer(SCENE, STEP, 0), "Renderer: replicas must be a whole number"),
         (lambda: energy_redistribution(jax.random.key(0), SCENE, STEP, 2, 1, length=100), "no chain was started"),
+        (lambda: energy_redistribution(jax.random.key(0), SCENE, STEP, 64, 1, energy=0.0), "energy must be positive"),
     ],
 )
 def test_what_can_not_be_is_refused(make, message):
