@@ -20,13 +20,14 @@ Advance = Callable[[int, Any, Place, int], Place]
 def devices() -> list[Any]:
     """The devices of this process that blocks are dealt over; `[None]`, which is JAX's choice, where there is one.
 
-    All of the default kind, unless one was chosen by `jax.default_device`.
+    All of the default kind, unless a device or a kind was chosen by `jax.default_device`: then it is named, because a
+    worker thread does not inherit that choice.
     """
     chosen = jax.config.values["jax_default_device"]
     if isinstance(chosen, jax.Device):
         return [chosen]
     local = jax.local_devices(backend=chosen)
-    return local if len(local) > 1 else [None]
+    return local if len(local) > 1 or chosen is not None else [None]
 
 
 def put(tree: T, device: Any) -> T:

@@ -6,7 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
+
+from mcmc1d import parallel
 
 ROOT = Path(__file__).parents[1]
 
@@ -69,6 +72,15 @@ def finished(process):
     out, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
     return [line for line in out.splitlines() if not line.startswith("[Gloo]")]
+
+
+def test_a_device_that_was_chosen_is_named_to_the_threads():
+    """Also where it is the only one of its kind: they do not know of the choice."""
+    cpu = jax.local_devices(backend="cpu")
+    assert parallel.devices() == ([None] if len(jax.local_devices()) == 1 else jax.local_devices())
+    for chosen, found in (("cpu", cpu), (cpu[0], cpu[:1])):
+        with jax.default_device(chosen):
+            assert parallel.devices() == found
 
 
 @pytest.fixture(scope="module")
