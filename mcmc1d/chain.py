@@ -13,7 +13,7 @@ import numpy as np
 
 from mcmc1d import parallel
 from mcmc1d.checkpoint import Place, Saving, describe
-from mcmc1d.checks import require_key, require_whole
+from mcmc1d.checks import require_dtype, require_key, require_whole
 from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator, added, empty, require_estimators
 from mcmc1d.metropolis import Kernel, Step, as_kernel
@@ -118,14 +118,9 @@ def run(
     """
     kernel, numbers = as_kernel(kernel, "run: the kernel"), source(random)
     require_multiplexed(target, "run")
-    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
-    require(
-        dtype == jnp.float32 or (dtype == jnp.float64 and jnp.zeros(()).dtype == jnp.float64),
-        f"run: dtype must be float32, or float64 with JAX's x64 on, not {dtype}",
-    )
+    dtype = require_dtype(dtype, "run")
     require_key(key, "run")
-    steps, chains = require_whole(steps, "run: steps"), require_whole(chains, "run: chains")
-    require(steps < _MOST_STEPS, f"run: steps are counted in 32 bits, and {steps} are too many; run more chains")
+    steps, chains = _counts(steps, chains, "run")
     if blocks is None:
         blocks = next(b for b in range(min(8, chains), 0, -1) if chains % b == 0)
     blocks = require_whole(blocks, "run: blocks")
@@ -180,22 +175,32 @@ def trace(
     steps: int,
     chains: int,
     start: State | None = None,
+    dtype: Any = None,
     random: str = "threefry",
 ) -> Trace:
-    """Run chains and keep every state; for integrated autocorrelation times and pictures. Arguments as `run`."""
+    """Run chains and keep every state; for integrated autocorrelation times and pictures. Arguments as `run`.
+
+    Raises `ValueError` where the kernel does not fit the target, and where a chain met a NaN of it.
+    """
     kernel, numbers = as_kernel(kernel, "trace: the kernel"), source(random)
     require_multiplexed(target, "trace")
+    dtype = require_dtype(dtype, "trace")
     require_key(key, "trace")
-    require_whole(steps, "trace: steps")
-    require_whole(chains, "trace: chains")
+    steps, chains = _counts(steps, chains, "trace")
     kernel.check(target)
-    dtype = jnp.zeros(()).dtype
     start_key, step_key = jax.random.split(key)
     state = State(*begin(start_key, target, start, chains, dtype, "trace"))
     target = cast(target, dtype)
     x, index, last, trapped = _record(step_key, numbers, cast(kernel, dtype), target, state, steps)
     require_defined(target, last, trapped)
     return Trace(np.asarray(x), np.asarray(index))
+
+
+def _counts(steps: int, chains: int, who: str) -> tuple[int, int]:
+    """Both as Python's, or `ValueError` unless they are whole, and the steps can be counted."""
+    steps, chains = require_whole(steps, f"{who}: steps"), require_whole(chains, f"{who}: chains")
+    require(steps < _MOST_STEPS, f"{who}: steps are counted in 32 bits, and {steps} are too many; run more chains")
+    return steps, chains
 
 
 @wide_jit

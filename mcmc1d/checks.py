@@ -35,6 +35,17 @@ def require_whole(value: Any, who: str, least: int = 1) -> int:
     return int(value)
 
 
+def require_dtype(dtype: Any, who: str) -> Any:
+    """The floats to work in, JAX's default for None; `ValueError` unless it is float32, or float64 with x64 on."""
+    default = jnp.zeros(()).dtype
+    dtype = default if dtype is None else jnp.dtype(dtype)
+    require(
+        dtype in (jnp.float32, default),
+        f"{who}: dtype must be float32, or float64 with JAX's x64 on, not {dtype}",
+    )
+    return dtype
+
+
 def require_key(key: Any, who: str) -> None:
     """Raise `ValueError` unless `key` is a random key of JAX: a seed in its place is a common slip."""
     dtype = getattr(key, "dtype", None)

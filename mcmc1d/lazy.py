@@ -80,14 +80,14 @@ class LazySampler(eqx.Module):
         replay: str = "apart",
     ):
         """`dims`: the most numbers that are read from one stream; `large_step`: the probability of a large step."""
-        require(dims >= 1 and streams >= 1, f"LazySampler: dims and streams are 1 or more, not {dims} and {streams}")
+        self.dims = require_whole(dims, "LazySampler: dims")
+        self.streams = require_whole(streams, "LazySampler: streams")
         require(replay in ("apart", "merged"), f'LazySampler: replay must be "apart" or "merged", not {replay!r}')
         require(
             not is_concrete(large_step) or 0 <= large_step <= 1,
             f"LazySampler: large_step is a probability, not {large_step}",
         )
-        self.dims, self.streams, self.replay = dims, streams, replay
-        self.sigma, self.large_step = parameter(sigma), parameter(large_step)
+        self.replay, self.sigma, self.large_step = replay, parameter(sigma), parameter(large_step)
         require_positive(self, sigma=self.sigma)
 
     @property
@@ -261,7 +261,7 @@ def chain_lengths(total: int, chains: int) -> list[int]:
 
     Chain i stands for the steps from floor(i total / chains) on: the sum telescopes (section 16.4.5).
     """
-    require(total >= 0 and chains >= 1, f"chain_lengths: {total} steps can not be shared among {chains} chains")
+    total, chains = require_whole(total, "chain_lengths: total", 0), require_whole(chains, "chain_lengths: chains")
     ends = [i * total // chains for i in range(chains + 1)]
     return [b - a for a, b in itertools.pairwise(ends)]
 

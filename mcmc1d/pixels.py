@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import rising
+from mcmc1d.checks import require_whole, rising
 from mcmc1d.compiling import quickly
 from mcmc1d.numerics import cast, require, stratum
 from mcmc1d.targets import DensityOf, Target
@@ -28,7 +28,7 @@ class Pixels(eqx.Module):
     dim: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
-        require(self.side >= 1, f"Pixels: side must be 1 at least, not {self.side}")
+        require_whole(self.side, "Pixels: side")
         require(self.dim in (1, 2), f"Pixels: an image has one or two axes, not dim={self.dim}")
 
     @property

@@ -175,7 +175,8 @@ class Renderer(eqx.Module):
 
     def batches(self, key: Key, samples: int, count: int) -> list[Film]:
         """Metropolis in one stage, its film dealt into `count` batches of consecutive steps, for batch means."""
-        require(count >= 2, f"batches: two at least, not {count}")
+        require_whole(samples, "batches: samples")
+        require_whole(count, "batches: count", 2)
         values = np.broadcast_to(self._unchanged(None, 1), (self.replicas,) + (1,) * self.scene.pixels.dim)
         b, steps = self.scene.region_masses(1, self.scene.base).sum(), max(1, round(samples / self.chains / count))
         films, state, one, padded = [], None, _whole(1), self._padded(values)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance, require_key, require_whole
+from mcmc1d.checks import require_dtype, require_instance, require_key, require_whole
 from mcmc1d.compiling import quickly
 from mcmc1d.numerics import below_one, cast, require, stratum
 from mcmc1d.random import uniforms
@@ -65,15 +65,15 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
 
     The bound is the largest density among 2**16 probes, with a quarter to spare; should a candidate exceed it, it is
     raised and everything is drawn again. A peak that all of the probes and candidates miss is missed. With an `index`,
-    from the target given that technique. Raises
-    `ValueError` where the density is zero at every probe, is not finite, or is too narrow for rejection.
+    from the target given that technique. `dtype`: float32, or float64 with JAX's x64 on. Raises `ValueError` where the
+    density is zero at every probe, is not finite, or is too narrow for rejection.
     """
     require_multiplexed(target, "exact_start")
     require_key(key, "exact_start")
     require_whole(count, "exact_start: count")
     n = target.n_techniques
     require(index is None or 0 <= index < n, f"exact_start: the index must lie in 0..{n - 1}, not {index}")
-    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    dtype = require_dtype(dtype, "exact_start")
     target = cast(target, dtype)
     probe_key, key = jax.random.split(key)
     looked, probes, _ = _draw(probe_key, target, _CANDIDATES, dtype, index)

@@ -9,7 +9,7 @@ from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, Info, Kernel, Step, accept, acceptance, as_kernel
 from mcmc1d.moves import LargeStep, Move, MultipleTry, SmallStep
 from mcmc1d.moves.multiple_try import around, row
-from mcmc1d.numerics import require, select
+from mcmc1d.numerics import select
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 
@@ -32,8 +32,7 @@ class SubChain(Kernel):
     def __init__(self, outer: Kernel | Move, inner: Kernel | Move, length: int = 1):
         """`outer`: the main chain's kernel; `inner`: the sub-chain's; `length`: its steps, one at least."""
         self.outer, self.inner = as_kernel(outer, "SubChain: the outer"), as_kernel(inner, "SubChain: the inner")
-        require(length >= 1, f"SubChain: a sub-chain has one step at least, not length={length}")
-        self.length = length
+        self.length = require_whole(length, "SubChain: length")
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -88,8 +87,7 @@ class SplitSample(Kernel):
     def __init__(self, step: Move, tries: int = 4):
         """`step`: a move that leads to each proposal; `tries`: m, one at least."""
         require_instance(step, Move, "SplitSample: the step")
-        require_whole(tries, "SplitSample: tries")
-        self.step_by, self.tries = step, tries
+        self.step_by, self.tries = step, require_whole(tries, "SplitSample: tries")
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -153,7 +153,7 @@ def dark(sampler, state):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: LazySampler(0), "dims and streams are 1 or more"),
+        (lambda: LazySampler(0), "LazySampler: dims must be a whole number, 1 at least, not 0"),
         (lambda: LazySampler(1, large_step=1.5), "a probability"),
         (lambda: LazySampler(1, sigma=0.0), "sigma must be positive"),
         (lambda: LazySampler(1, replay="late"), '"apart" or "merged"'),
@@ -161,7 +161,7 @@ def dark(sampler, state):
             lambda: lazy.bootstrap(jax.random.key(0), LazySampler(1), dark, chains=4, candidates=64),
             "zero at all of 64 candidates",
         ),
-        (lambda: lazy.chain_lengths(5, 0), "can not be shared"),
+        (lambda: lazy.chain_lengths(5, 0), "chain_lengths: chains must be a whole number, 1 at least, not 0"),
         (lambda: LazySampler(1, streams=2).start_stream(LazySampler(1).init(jnp.zeros(4)), 2), "no stream 2"),
     ],
 )

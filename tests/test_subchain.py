@@ -130,7 +130,7 @@ def test_a_trace_and_an_acceptance_rate_know_the_inner_moves():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SubChain(BOTH, STEP, 0), "one step at least"),
+        (lambda: SubChain(BOTH, STEP, 0), "SubChain: length must be a whole number, 1 at least, not 0"),
         (lambda: SplitSample(STEP, 0), "tries must be a whole number, 1 at least"),
         (lambda: TruncatedStep(0.0), "TruncatedStep: sigma must be positive"),
         (lambda: UniformStep(-1.0), "UniformStep: width must be positive"),

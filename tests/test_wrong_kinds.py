@@ -50,6 +50,20 @@ CALLS = {
     "run(key, move, target, steps=1, estimators=[Histogram()])": "run: give estimators by name, a dict, not a list",
     "run(key, move, target, steps=1, estimators={'x': Histogram})": "estimator 'x': give an instance, Histogram(...)",
     "trace(key, move, target, steps=1.5, chains=1)": "trace: steps must be a whole number",
+    "trace(key, move, target, steps=2**31, chains=1)": "trace: steps are counted in 32 bits, and 2147483648 are too",
+    "trace(key, move, target, steps=1, chains=1, dtype=float)": "trace: dtype must be float32, or float64 with",
+    "exact_start(key, target, 1, dtype=float)": "exact_start: dtype must be float32, or float64 with JAX's x64 on, not",
+    "subchain.SubChain(move, move, 1.5)": "SubChain: length must be a whole number, 1 at least, not 1.5",
+    "lazy.LazySampler(2, streams=1.5)": "LazySampler: streams must be a whole number, 1 at least, not 1.5",
+    "lazy.chain_lengths(5.5, 2)": "chain_lengths: total must be a whole number, 0 at least, not 5.5",
+    "pixels.Pixels(2.5)": "Pixels: side must be a whole number, 1 at least, not 2.5",
+    "techniques.product.cube(2.5)": "cube: m must be a whole number, 1 at least, not 2.5",
+    "verify.RingStep(2.5, {1: 1.0})": "RingStep: n must be a whole number, 1 at least, not 2.5",
+    "verify.Ledger(expected=2.5)": "Ledger: expected must be a whole number, 1 at least, not 2.5",
+    "verify.ledger.Scheme(stages=2.5)": "Scheme: stages must be a whole number, 1 at least, not 2.5",
+    "verify.deposit_law(move, target, [0, 1], points=2048.0)": "points, a power of two, must be a whole number, 1024",
+    "verify.deposit_law(move, target, [0, 1], points=2000)": "points must be a power of two, 1024 at least, not 2000",
+    "verify.deposit_law(move, target, [0, 1], scrambles=1)": "scrambles, for an error estimate, must be a whole number",
     "normalisation(key, target, 2.5)": "normalisation: samples must be a whole number, 2 at least",
     "moves.SmallStep('a')": "a parameter is a number, or an array of them, not 'a'",
     "moves.Exchange('a')": "Exchange: width must be a whole number, 1 at least, not 'a'",
@@ -101,7 +115,7 @@ SCRIPT = """
 import json, sys
 import jax, numpy, scipy.special
 from mcmc1d import *
-from mcmc1d import flatland, tempering
+from mcmc1d import flatland, lazy, pixels, subchain, tempering
 from mcmc1d.flatland.importance import OverPixels
 key, move, target = jax.random.key(0), moves.SmallStep(), Multiplexed(targets.Sinusoid(), techniques.Uniform())
 BOX = flatland.Paths(flatland.scenes.scene("box"), 2)

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.numerics import require
 from mcmc1d.techniques.base import Forward, Inverse, Technique, checked_shape, dim_v, sample_shape
+from mcmc1d.techniques.elementary import Uniform
 from mcmc1d.types import Array, Corners, Float, Scalar
 
 
@@ -70,9 +71,7 @@ class Product(Technique):
 
 def cube(m: int) -> Technique:
     """The technique x = u in m dimensions: a scalar for m = 1, else an array of shape (m,)."""
-    from mcmc1d.techniques.elementary import Uniform
-
-    require(m >= 1, f"a cube has one dimension at least, not {m}")
+    require_whole(m, "cube: m")
     return Uniform() if m == 1 else Product((Uniform(),) * m)
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
+from mcmc1d.checks import require_whole
 from mcmc1d.numerics import below_one, require
 from mcmc1d.types import Array, Float, Index, Int, UInt32
 
@@ -89,6 +90,14 @@ def number(
             place = jnp.searchsorted(ends, q[j], side="right", method="compare_all").astype(jnp.int32) - 1
         k = k * n + jnp.clip(place, 0, n - 1)
     return k
+
+
+def require_nets(points: int, scrambles: int) -> int:
+    """log2 of the size of a net, or `ValueError` unless it is a power of two, and an error can be estimated."""
+    log2 = require_whole(points, "points, a power of two,", 1024).bit_length() - 1
+    require(points == 2**log2, f"points must be a power of two, 1024 at least, not {points}")
+    require_whole(scrambles, "scrambles, for an error estimate,", 2)
+    return log2
 
 
 def sobol(dim: int, log2_points: int, rng: np.random.Generator) -> np.ndarray:

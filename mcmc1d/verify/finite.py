@@ -45,7 +45,7 @@ class RingStep(Move):
 
     def __init__(self, n: int, probabilities: Mapping[int, float]):
         """`probabilities`: offset -> probability, which sum to one; the opposite of each is added if missing."""
-        require(n >= 1, f"RingStep: a ring has one place at least, not {n}")
+        n = require_whole(n, "RingStep: n")
         chances = {offset % n: 0.0 for given in probabilities for offset in (given, -given)}
         for offset, probability in probabilities.items():
             chances[offset % n] += probability

@@ -14,7 +14,7 @@ from mcmc1d.checks import require_mass
 from mcmc1d.compiling import wide_jit
 from mcmc1d.numerics import cast, require
 from mcmc1d.types import Array, Float, UInt32
-from mcmc1d.verify.cells import Cells, net_points, number, regular, sobol
+from mcmc1d.verify.cells import Cells, net_points, number, regular, require_nets, sobol
 from mcmc1d.verify.outcomes import KernelFlux, StepFlux
 from mcmc1d.verify.sparse import Matrix
 
@@ -146,9 +146,7 @@ def measure(
     the order of the cell's width squared. Where there are atoms, which the density does not charge, the starts in
     their cells are the states in which one step of the kernel has left the target's law.
     """
-    log2 = int(points).bit_length() - 1
-    require(points == 2**log2 and log2 >= 10, f"points must be a power of two, 1024 at least, not {points}")
-    require(scrambles >= 2, f"an error estimate needs two scrambles at least, not {scrambles}")
+    log2 = require_nets(points, scrambles)
     cells = regular(n_index, counts, (np.zeros(0),) * len(counts) if atoms is None else atoms, ATOM_WIDTH)
     batch, dtype = min(_BATCH, points // 2), jnp.zeros(()).dtype
     flux = cast(flux, dtype)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from mcmc1d.checks import require_whole
 from mcmc1d.numerics import require
 
 
@@ -26,7 +27,7 @@ class Scheme:
 
     def __post_init__(self):
         require(0 < self.level < 0.5, f"the level must lie between 0 and 0.5, not at {self.level}")
-        require(self.stages >= 1, f"there must be one stage at least, not {self.stages}")
+        require_whole(self.stages, "Scheme: stages")
 
     @property
     def early(self) -> float:
@@ -70,6 +71,8 @@ class Ledger:
 
     def __post_init__(self):
         require(0 < self.total < 0.5, f"a ledger's total is a level between 0 and 0.5, not {self.total}")
+        if self.expected is not None:
+            require_whole(self.expected, "Ledger: expected")
 
     def share(self, name: str) -> float:
         """The level of the verification of this name; a name asks once."""

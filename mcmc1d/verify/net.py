@@ -14,7 +14,7 @@ from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, require
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index, UInt32
-from mcmc1d.verify.cells import net_points, sobol
+from mcmc1d.verify.cells import net_points, require_nets, sobol
 
 _BATCH = 2**14
 
@@ -49,9 +49,7 @@ def deposit_law(
     of = kernel.sampled(target).target
     require(np.ndim(of.domain[0]) == 0, f"deposit_law: x must be a scalar; {type(of).__name__} has none")
     require_cover("deposit_law", edges, of.domain, type(of).__name__)
-    log2 = int(points).bit_length() - 1
-    require(points == 2**log2 and log2 >= 10, f"points must be a power of two, 1024 at least, not {points}")
-    require(scrambles >= 2, f"an error estimate needs two scrambles at least, not {scrambles}")
+    log2 = require_nets(points, scrambles)
     dtype = jnp.zeros(()).dtype
     fitted = cast((kernel, target), dtype)
     batch = min(_BATCH, points)

@@ -46,5 +46,7 @@ def test_redistributed_energy_meets_every_pixel_of_the_box(monkeypatch):
 
 
 def test_errors_say_what_is_wrong():
-    with pytest.raises(ValueError, match="length and mutations must be positive"):
+    with pytest.raises(ValueError, match="EnergyRedistribution: length must be a whole number, 1 at least, not 0"):
         EnergyRedistribution(length=0)
+    with pytest.raises(ValueError, match="EnergyRedistribution: mutations must be positive and finite"):
+        EnergyRedistribution(mutations=0.0)

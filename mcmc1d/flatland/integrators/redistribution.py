@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import run
+from mcmc1d.checks import require_whole
 from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
 from mcmc1d.flatland.integrators.chains import EachChain
@@ -17,7 +18,7 @@ from mcmc1d.flatland.sampling import Sums, bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast, require_positive
 from mcmc1d.random import uniforms
 from mcmc1d.redistribution import chains_of
 from mcmc1d.starts import uniform_states
@@ -49,10 +50,8 @@ class EnergyRedistribution(Integrator):
     weights: Balance | Power | Maximum = Balance()
 
     def __check_init__(self):
-        require(
-            self.length >= 1 and self.mutations > 0,
-            f"EnergyRedistribution: length and mutations must be positive, not {self.length} and {self.mutations}",
-        )
+        require_whole(self.length, "EnergyRedistribution: length")
+        require_positive(self, mutations=self.mutations)
 
     def target(self, paths: Paths) -> Multiplexed:
         return multiplexed(paths, None, self.weights)
