@@ -25,7 +25,6 @@ from experiments.support.flatland_rivals import contributions
 from experiments.support.flatland_sds_claims import claims
 from experiments.support.flatland_sds_figure import figure
 from experiments.support.sweep import Sweep
-from mcmc1d.chain import exact_start
 from mcmc1d.flatland import Paths, Scene
 from mcmc1d.flatland.integrators import MLT, BidirectionalPathTracing, PhotonDensity
 from mcmc1d.flatland.mutations import VEACH, ManifoldStep
@@ -33,6 +32,7 @@ from mcmc1d.flatland.sampling import bootstrap
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import Mixture
 from mcmc1d.numerics import cast
+from mcmc1d.starts import exact_start
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
 

@@ -26,10 +26,11 @@ if TYPE_CHECKING:
         verify,
         weights,
     )
-    from mcmc1d.chain import Normalisation, Run, Trace, exact_start, normalisation, run, trace
+    from mcmc1d.chain import Run, Trace, run, trace
     from mcmc1d.estimators import Acceptance, Estimator, Expectation, Histogram
     from mcmc1d.metropolis import Cycle, Kernel, Metropolis
     from mcmc1d.planar_histogram import Histogram2D
+    from mcmc1d.starts import Normalisation, exact_start, normalisation
     from mcmc1d.state import Eval, Multiplexed, State
 else:
     # On first use: pytest imports this package at the start of everyone's run, for its plugin, and must not wait for
@@ -70,7 +71,8 @@ _MODULES = [
 ]
 
 _HOMES = {
-    **dict.fromkeys(["Normalisation", "Run", "Trace", "exact_start", "normalisation", "run", "trace"], "chain"),
+    **dict.fromkeys(["Run", "Trace", "run", "trace"], "chain"),
+    **dict.fromkeys(["Normalisation", "exact_start", "normalisation"], "starts"),
     **dict.fromkeys(["Acceptance", "Estimator", "Expectation", "Histogram"], "estimators"),
     **dict.fromkeys(["Cycle", "Kernel", "Metropolis"], "metropolis"),
     **dict.fromkeys(["Eval", "Multiplexed", "State"], "state"),

@@ -320,7 +320,8 @@ def linear_quantile(left: Scalar, right: Scalar, place: Scalar) -> Scalar:
     root = jnp.sqrt(left * left * (1 - place) + right * right * place)
     denominator = left + root
     t = place * (left + right) / jnp.where(denominator > 0, denominator, 1)
-    return jnp.where(denominator > 0, t, 0)
+    # Where the density is zero at 0 the last places under 1 round to 1.
+    return below_one(jnp.where(denominator > 0, t, 0))
 
 
 def linear_cdf(left: Scalar, right: Scalar, t: Scalar) -> Scalar:

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.stats import sem
 
 from experiments.support.flatland_chains import METHODS, Lit, Placed, Usage, close, films, multiplexed_kernel
-from mcmc1d.chain import exact_start
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import MLT, Sums
@@ -20,6 +19,7 @@ from mcmc1d.flatland.sampling import bootstrap
 from mcmc1d.metropolis import Kernel
 from mcmc1d.numerics import cast, require, stratum
 from mcmc1d.random import uniforms
+from mcmc1d.starts import exact_start
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
 
