@@ -20,7 +20,7 @@ from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, require
 from mcmc1d.random import Source, source
-from mcmc1d.starts import Normalisation, begin, exact_start, normalisation, require_defined, require_multiplexed
+from mcmc1d.starts import begin, require_defined, require_multiplexed
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Int, Key
 
@@ -50,7 +50,10 @@ class Run(eqx.Module):
 
         def error(s: np.ndarray) -> np.ndarray:
             blocks = len(s)
-            require(blocks >= 2, "a standard error needs two blocks of chains at least")
+            require(
+                blocks >= 2,
+                "a standard error needs two blocks of chains at least: run with blocks=2, or more",
+            )
             return np.asarray(s.std(0, ddof=1) * np.sqrt(blocks) / (self.chains * self.steps))
 
         return jax.tree.map(error, self._sums(name))
@@ -252,4 +255,4 @@ def _step(key: Key, numbers: Source, kernel: Kernel, target: Multiplexed, step: 
     return jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
 
 
-__all__ = ["Normalisation", "Progress", "Run", "Trace", "exact_start", "normalisation", "run", "trace"]
+__all__ = ["Progress", "Run", "Trace", "run", "trace"]

@@ -245,7 +245,12 @@ def bootstrap(
     w = jax.random.uniform(first, (candidates, 4 * sampler.size))
     starts = eqx.filter_jit(jax.vmap(lambda numbers: start(sampler, contribution, numbers)))(w)
     f = np.exp(np.asarray(starts.log_f, np.float64))
-    require(bool(np.isfinite(f).all()), f"bootstrap: f is {f[np.argmin(np.isfinite(f))]} at one of the candidates")
+    k = int(np.argmin(np.isfinite(f)))
+    require(
+        bool(np.isfinite(f[k])),
+        f"bootstrap: f is {f[k]} at candidate {k}, of the sample {jax.tree.map(lambda leaf: leaf[k], starts.sample)}: "
+        "let the contribution be 0 there, or define it",
+    )
     require(
         bool(f.any()),
         f"bootstrap: the contribution is zero at all of {candidates} candidates, there is nothing to start from; raise "

@@ -213,7 +213,11 @@ class Renderer(eqx.Module):
         keys = jax.random.split(key, self.replicas)
         size = 1 << (count - 1).bit_length()  # so that a few sizes compile
         c = np.asarray(_densities(keys, self.scene, self._padded(values), _whole(k), size), np.float64)[:, :count]
-        require(bool(np.isfinite(c).all()), "render: the importance function is not finite somewhere")
+        require(
+            bool(np.isfinite(c).all()),
+            "render: the importance function is NaN or infinite at a sample for b: mend it there, or give a technique "
+            "that follows it to its pole",
+        )
         return c.mean(1) * self.scene.target.n_techniques
 
     def _padded(self, values: np.ndarray) -> Array:

@@ -87,7 +87,6 @@ class Multiplexed(eqx.Module):
             listed = tuple(techniques) if isinstance(techniques, Sequence) else (techniques,)
             for technique in listed:
                 checked_shape(require_instance(technique, Technique, "Multiplexed: a technique"))
-            require(len(listed) > 0, "Multiplexed: give one technique at least")
             techniques = Several(listed)
         self.family = techniques
         if weights is None:
@@ -261,7 +260,11 @@ def _probe(target: Multiplexed, probes: int) -> None:
         with jax.enable_x64(True):
             raise ValueError(target.target.complaint(points[np.argmax(np.isnan(log_f))]))
     first(np.isposinf(log_f), f"{name} is infinite at x = {{x}}: a pole must not lie on a probe; move it a little")
-    require(bool(np.any(np.isfinite(log_f))), f"{name} is zero everywhere on its domain: there is nothing to sample")
+    require(
+        bool(np.any(np.isfinite(log_f))),
+        f"{name} is zero at all of {len(points)} probes of its domain: there is nothing to sample; mend it, or "
+        "where all its mass lies between two of them, give more, probes=",
+    )
     _probe_outside(target)
     lit = np.isfinite(log_f)
     for i, technique in enumerate(target.techniques):

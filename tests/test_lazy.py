@@ -161,6 +161,10 @@ def dark(sampler, state):
             lambda: lazy.bootstrap(jax.random.key(0), LazySampler(1), dark, chains=4, candidates=64),
             "zero at all of 64 candidates",
         ),
+        (
+            lambda: lazy.bootstrap(jax.random.key(0), LazySampler(1), undefined, chains=4, candidates=64),
+            r"bootstrap: f is nan at candidate \d+, of the sample .*: let the contribution be 0 there, or define it",
+        ),
         (lambda: lazy.chain_lengths(5, 0), "chain_lengths: chains must be a whole number, 1 at least, not 0"),
         (lambda: LazySampler(1, streams=2).start_stream(LazySampler(1).init(jnp.zeros(4)), 2), "no stream 2"),
     ],

@@ -41,7 +41,7 @@ def test_a_step_of_u_alone_of_a_users_own_goes_with_a_technique_change():
     [
         (lambda: mcmc1d.Multiplexed(of(lambda x: x - 0.5), PAIR), "FromFunction is negative at x = 0.00"),
         (lambda: mcmc1d.Multiplexed(of(lambda x: x / 0 * 0), PAIR), "NaN"),
-        (lambda: mcmc1d.Multiplexed(of(lambda x: 0 * x), PAIR), "zero everywhere"),
+        (lambda: mcmc1d.Multiplexed(of(lambda x: 0 * x), PAIR), "zero at all of 2048 probes.*give more, probes="),
         (lambda: mcmc1d.Multiplexed(of(lambda x: 1 / (0 * x)), PAIR), "infinite"),
         (lambda: mcmc1d.Multiplexed(SINUSOID, HALF), "no technique reaches x = 0.50"),
         (lambda: mcmc1d.Multiplexed(SINUSOID, PAIR, lambda x, p: 0.9 * p / p.sum()), "sum to 0.9, not to one"),

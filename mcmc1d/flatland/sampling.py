@@ -1,6 +1,6 @@
 """Independent samples of light: what they put on a film, or what they integrate to, as sums with an honest error."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -69,8 +69,16 @@ def _sums(
             old + np.asarray(new, np.float64).sum(-1) for old, new in zip((total, squares), lanes, strict=True)
         )
     if not np.all(np.isfinite(squares)):
-        raise ValueError("the light of a path is NaN or infinite, or its square over what single precision holds")
+        raise undefined_light((paths, target), ", or its square over what single precision holds")
     return Sums(steps * _LANES, total, squares, bound)
+
+
+def undefined_light(what: Any, further: str = "") -> ValueError:
+    """That a path's light is no number: of how many edges, for anything that holds `Paths`, and where to look."""
+    leaves = jax.tree.leaves(what, is_leaf=lambda node: isinstance(node, Paths))
+    edges = sorted({leaf.edges for leaf in leaves if isinstance(leaf, Paths)})
+    of = f"paths of {' or '.join(map(str, edges))} edges: " if edges else ""
+    return ValueError(f"{of}the light of a path is NaN or infinite{further}; look at the scene's lamps")
 
 
 @wide_jit

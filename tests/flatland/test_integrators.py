@@ -14,6 +14,7 @@ from mcmc1d.flatland import Bidirectional, Light, Material, Paths, Pinhole, Scen
 from mcmc1d.flatland.integrators import MMLT, RJMLT, LightTracing, PathTracing, integrate
 from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.reference import image
+from mcmc1d.flatland.sampling import undefined_light
 from mcmc1d.flatland.scenes import polygon, scene
 from mcmc1d.techniques.family import apart
 
@@ -118,3 +119,12 @@ def test_settings_that_are_refused():
         RJMLT(large=0.8, jump=0.3)
     with pytest.raises(ValueError, match="chains, for a standard error, must be a whole number, 2 at least"):
         MMLT(chains=1)
+
+
+def test_light_that_is_no_number_is_told_with_the_length_of_its_paths():
+    """Of a target of theirs; of what has none it is told without."""
+    found = str(undefined_light(PathTracing().target(Paths(scene("box"), 2))))
+    assert found == "paths of 2 edges: the light of a path is NaN or infinite; look at the scene's lamps"
+    assert (
+        str(undefined_light(None, " here")) == "the light of a path is NaN or infinite here; look at the scene's lamps"
+    )

@@ -15,6 +15,7 @@ from mcmc1d.flatland.importance import OverPixels, Shader
 from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Paths
+from mcmc1d.flatland.sampling import undefined_light
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
@@ -155,7 +156,10 @@ def exact_starts(
     """
     owner = np.arange(_CANDIDATES) % len(values)
     bound = 1.25 * (values * highest).max(1)
-    require(bool(bound.min() > 0), f"exact_starts: no light in {_PROBES} probes; give techniques that find it")
+    require(
+        bool(bound.min() > 0),
+        f"exact_starts: no light in {_PROBES} probes; give techniques that find it, or a lamp that can be seen",
+    )
 
     def candidates(batch: int) -> tuple[State, np.ndarray, np.ndarray]:
         state, density, pixel, uniform = _candidates(key, target, batch)
@@ -175,7 +179,7 @@ def _candidates(key: Key, target: Multiplexed, attempt: int) -> tuple[State, np.
     plain = eqx.tree_at(lambda t: t.target.values, target, np.ones_like(_light(target).values))
     state, density, pixel, uniform = jax.tree.map(np.asarray, _drawn(key, plain, jnp.asarray(attempt)))
     if not np.isfinite(density).all():
-        raise ValueError("the light of a path is NaN or infinite")
+        raise undefined_light(target)
     return state, density.astype(np.float64), pixel, uniform
 
 

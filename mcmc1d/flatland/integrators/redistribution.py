@@ -14,7 +14,7 @@ from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
 from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.paths import Paths
-from mcmc1d.flatland.sampling import Sums, bootstrap
+from mcmc1d.flatland.sampling import Sums, bootstrap, undefined_light
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
@@ -84,7 +84,7 @@ class EnergyRedistribution(Integrator):
         for k in range(batches):
             state, energy, xi = (jax.tree.map(np.asarray, part) for part in _energies(key, target, jnp.asarray(k)))
             if not np.all(np.isfinite(energy)):
-                raise ValueError("the light of a path is NaN or infinite")
+                raise undefined_light(target)
             path = np.repeat(np.arange(_PATHS), chains_of(energy.astype(np.float64), quantum, xi))
             found.append((state.index[path], state.u[path], path + k * _PATHS))
         index, u, owner = (np.concatenate(parts) for parts in zip(*found, strict=True))
