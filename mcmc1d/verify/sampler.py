@@ -185,11 +185,13 @@ class Sampler:
                 ]
         picked = look.picked
         if picked is not None:
-            require(
-                picked.least >= -1e-6 and picked.most <= self.max_weight * (1 + 1e-4),
-                f"the deposits' weights must not be negative and sum to max_weight = {self.max_weight:g} at most; the "
-                f"least is {picked.least:.6g} and the largest total {picked.most:.6g}: give max_weight= their bound",
-            )
+            within = picked.least >= -1e-6 and picked.most <= self.max_weight * (1 + 1e-4)
+            found = f"the least is {picked.least:.6g} and the largest total {picked.most:.6g}"
+            must = f"must not be negative and sum to {self.max_weight:g} at most"
+            # A kernel of this library declares the bound itself; else who gave it may be wrong.
+            if not within and (self.subject.most is not None or np.isnan([picked.least, picked.most]).any()):
+                return [f"the weights of a step's deposits {must}; {found}, within {t} steps"]
+            require(within, f"the deposits' weights {must}; {found}: give max_weight= their bound")
         return []
 
     def outside(self, start: Position, look: Look, t: int) -> tuple[int, str]:

@@ -126,7 +126,8 @@ def joined(looks: Sequence[Look]) -> Look:
         return Look(positions, wrong=wrong)
     points = jax.tree.map(lambda *parts: np.concatenate(parts), *(p.points for p in picked))
     none = np.concatenate([p.none for p in picked])
-    return Look(positions, Picked(points, none, min(p.least for p in picked), max(p.most for p in picked)), wrong)
+    least, most = np.min([p.least for p in picked]), np.max([p.most for p in picked])  # NaN if any is
+    return Look(positions, Picked(points, none, float(least), float(most)), wrong)
 
 
 def pick(points: Any, weights: Array, uniform: Array, limit: Array) -> tuple[Any, Array, Array, Array]:
