@@ -74,7 +74,7 @@ class JaxSubject(Subject):
 
     def check(self, start: Position) -> None:
         one = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[1:], a.dtype), start)
-        key = jax.random.key(0)
+        key = key_of((0,))
         try:
             state = eqx.filter_eval_shape(self.kernel.begin, key, one)
             out = eqx.filter_eval_shape(self.kernel.move, key, state)
@@ -120,7 +120,7 @@ class JaxSubject(Subject):
         if self.kernel.init is None:
             return False
         one = jax.tree.map(lambda a: jnp.asarray(a[0]), start)
-        parts = [jax.tree.leaves(quickly(self.kernel.begin)(jax.random.key(k), one)) for k in (0, 1)]
+        parts = [jax.tree.leaves(quickly(self.kernel.begin)(key_of((k,)), one)) for k in (0, 1)]
         pairs = [pair for pair in zip(*parts, strict=True) if not jnp.issubdtype(pair[0].dtype, jax.dtypes.extended)]
         return any(bool(np.any(np.asarray(a) != np.asarray(b))) for a, b in pairs)
 

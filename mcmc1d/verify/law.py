@@ -175,7 +175,7 @@ def multiplexed_law(target: Multiplexed) -> Law:
     lower, upper = target.target.domain
 
     def sample(rng: np.random.Generator, n: int) -> Position:
-        return positions(target, exact_start(jax.random.key(int(rng.integers(2**32))), target, n))
+        return positions(target, exact_start(jax.random.key(int(rng.integers(2**32)), impl="threefry2x32"), target, n))
 
     statistics: dict[str, Statistic] = {}
     if np.ndim(lower) == 0:

@@ -116,7 +116,7 @@ class StepFlux(eqx.Module):
     def __call__(self, index: Index, numbers: Float[Array, " d"], counter: UInt32[Array, " 2"]) -> Outcomes:
         """The outcome of one step from the place `numbers` of the box."""
         position = jnp.asarray(self.lower + (self.upper - self.lower) * numbers)
-        key = jax.random.wrap_key_data(counter)
+        key = jax.random.wrap_key_data(counter, impl="threefry2x32")
         after = jnp.reshape(self.step(key, position), position.shape)
         weight = jnp.exp(self.log_density(position) - self.top)
         return Outcomes(State(index, position), weight, [State(index, after)], [jnp.ones_like(weight)], [0])

@@ -149,6 +149,6 @@ def drawn(raw: Any) -> Picked:
 
 
 def key_of(seed: Sequence[int]) -> Key:
-    """A key from any integers, by NumPy's mixing of seeds."""
+    """A key from any integers, by NumPy's mixing of seeds; of threefry, whatever JAX's default is."""
     word = np.random.SeedSequence(list(seed)).generate_state(2, np.uint32)
-    return jax.random.wrap_key_data(jnp.asarray(word))
+    return jax.random.wrap_key_data(jnp.asarray(word), impl="threefry2x32")
