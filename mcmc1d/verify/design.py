@@ -4,13 +4,13 @@ import itertools
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import POOLED, OneSample, Test, TwoSample, coordinates, evaluate
+from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.exchangeability import Crossed, Exchangeable
 from mcmc1d.verify.forgetting import Partition
 from mcmc1d.verify.law import Bins, Continuous, Law, Position, Statistic
@@ -78,7 +78,7 @@ def design(
             tests.append(TwoSample(", ".join(group), joint, ends, "joint", ordered=False))
     tests += [_crossed(a, b, columns) for a, b in _pairs(main) if reversible]
     if law.log_density is not None and not scalar:
-        energy = _Energy(jax.jit(jax.vmap(law.log_density)))
+        energy = Energy(law)
         ends = _quantiles(energy(draws), _CUTS)
         if len(ends):
             tests.append(TwoSample("log density", energy, ends, "density"))
@@ -148,16 +148,6 @@ class _Joint:
         for name, ends in self.inner:
             cell = cell * (len(ends) + 1) + np.searchsorted(ends, columns[name], side="right")
         return cell
-
-
-@dataclass(frozen=True)
-class _Energy:
-    """The log-density."""
-
-    batch: Any
-
-    def __call__(self, where: Position) -> np.ndarray:
-        return np.asarray(self.batch(where))
 
 
 def _known(law: Law, draws: Position, columns: Mapping[str, np.ndarray]) -> dict[str, Statistic]:

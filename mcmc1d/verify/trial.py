@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 import jax
 import numpy as np
 
-from mcmc1d.checks import traced
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
 from mcmc1d.verify.contradictions import require_alike, require_cells, require_density, require_random
 from mcmc1d.verify.design import design, main_coordinates, partitions, unseen
 from mcmc1d.verify.diagnose import diagnose
+from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
 from mcmc1d.verify.law import Position
 from mcmc1d.verify.ledger import Scheme
@@ -108,10 +108,10 @@ class Trial:
 
     def _unlikely(self, draws: Position) -> Position:
         """The draws, the least likely first."""
-        log_density = self.sampler.law.log_density
-        if log_density is not None:
-            with traced(f"{self.sampler.law.name}: log_density, a function of one position,"):
-                values = np.asarray(jax.vmap(log_density)(draws))
+        if self.sampler.law.log_density is not None:
+            compiled = (test.value for test in self.tests if isinstance(test, TwoSample))
+            energy = next((value for value in compiled if isinstance(value, Energy)), None)
+            values = (energy or Energy(self.sampler.law))(draws)
             require_density(self.sampler.law, draws, values)
             order = np.argsort(values)
         else:
