@@ -136,19 +136,9 @@ def _scipy_law(distribution: Any) -> Law:
     name = getattr(getattr(distribution, "dist", distribution), "name", type(distribution).__name__)
     lower, upper = distribution.support()
     if hasattr(distribution, "pmf"):
-        first, last = (int(end) for end in distribution.ppf([1e-12, 1 - 1e-12]))
-        masses = distribution.pmf(np.arange(first, last + 1))
-        # Both tails belong to the end cells: rare values are none that can not be.
-        masses[0], masses[-1] = distribution.cdf(first), distribution.sf(last - 1)
-        cells = Discrete(
-            lambda x: np.clip(x - first, 0, last - first).astype(np.int64),
-            masses / masses.sum(),
-            tuple(str(k) for k in range(first, last + 1)),
-            ordered=True,
-        )
         return Law(
             sample=lambda rng, n: distribution.rvs(n, random_state=rng),
-            statistics={"x": cells},
+            statistics={"x": _integers(distribution)},
             support=(lower, upper),
             name=name,
         )
@@ -164,6 +154,35 @@ _BINS = 256
 _JOINT_BINS = 32
 _PLANAR_BINS = 128  # along each coordinate
 _PLANAR_CELLS = 16, 8  # a side of the cells of x, and of (index, x)
+_INTEGERS = 2**18  # cells on either side of the median of a law on integers: of Poisson (1e9), eight deviations
+_REST = 1e-12  # of its mass, which each tail's end cell may hold at will
+
+
+def _integers(distribution: Any) -> Discrete:
+    """Cells of an integer each about the median, the tails in those at both ends: no rare value is one that can not be.
+
+    A power law has its tail in a cell of many integers, beyond `_INTEGERS` of them; its quantiles need not fit memory.
+    """
+    (lower, upper), median = distribution.support(), distribution.ppf(0.5)
+    first, last = int(max(lower, median - _INTEGERS)), int(min(upper, median + _INTEGERS))
+    masses = distribution.pmf(np.arange(first, last + 1))
+    below = distribution.cdf(first - 1) + np.cumsum(masses)
+    # From the first integer up to which there is some mass to the first beyond which there is next to none.
+    a, b = (int(k) for k in np.searchsorted(below, [_REST, 1 - _REST]))
+    b = min(b, last - first)
+    tails = below[a] - masses[a], 1 - below[b]
+    masses = np.concatenate([below[a : a + 1], masses[a + 1 : b], 1 - below[b - 1 : b]]) if b > a else np.ones(1)
+    first, last = first + a, first + b
+    return Discrete(
+        lambda x: np.clip(x - first, 0, last - first).astype(np.int64),
+        masses,
+        tuple(str(k) for k in range(first, last + 1)),
+        ordered=True,
+        cut=bool(max(tails) > _COARSE),
+    )
+
+
+_COARSE = 2**-14  # of a law's mass in one cell of many values: less is no more than what a continuous CDF leaves unseen
 
 
 def multiplexed_law(target: Multiplexed) -> Law:
