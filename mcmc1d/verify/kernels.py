@@ -226,7 +226,8 @@ def _require_kept(name: str, start: Position, where: Position) -> None:
     """Raise `ValueError` unless the state that `init` made of each position is at that position."""
     leaves = (map(np.asarray, jax.tree.leaves(tree)) for tree in (start, where))
     for before, after in zip(*leaves, strict=True):
-        if before.shape == after.shape and not np.allclose(before, after, rtol=1e-4, atol=1e-6, equal_nan=True):
+        about = 1e-6 * min(1.0, float(np.max(np.abs(before), initial=0)))
+        if before.shape == after.shape and not np.allclose(before, after, rtol=1e-4, atol=about, equal_nan=True):
             k = int(np.argmax(np.abs(before - after).reshape(len(before), -1).max(1)))
             raise ValueError(
                 f"{name}: init must keep the position, which is then read back: given {before[k]}, it is {after[k]}"

@@ -150,10 +150,6 @@ def _scipy_law(distribution: Any) -> Law:
     )
 
 
-_BINS = 256
-_JOINT_BINS = 32
-_PLANAR_BINS = 128  # along each coordinate
-_PLANAR_CELLS = 16, 8  # a side of the cells of x, and of (index, x)
 _INTEGERS = 2**18  # cells on either side of the median of a law on integers: of Poisson (1e9), eight deviations
 _REST = 1e-12  # of its mass, which each tail's end cell may hold at will
 
@@ -183,6 +179,10 @@ def _integers(distribution: Any) -> Discrete:
 
 
 _COARSE = 2**-14  # of a law's mass in one cell of many values: less is no more than what a continuous CDF leaves unseen
+_BINS = 256
+_JOINT_BINS = 32
+_PLANAR_BINS = 128  # along each coordinate
+_PLANAR_CELLS = 16, 8  # a side of the cells of x, and of (index, x)
 
 
 def multiplexed_law(target: Multiplexed) -> Law:
@@ -279,7 +279,8 @@ class Bins:
         A sample that rounds across an edge into a bin of probability zero is counted on the side that it comes from.
         """
         joint = self.masses.ndim == 2
-        x = np.asarray(where["x"] if isinstance(where, dict) else where, np.float64).reshape(-1)
+        x = np.asarray(where["x"] if isinstance(where, dict) else where).reshape(-1)
+        x, dtype = x.astype(np.float64), x.dtype
         masses = np.atleast_2d(self.masses)
         rows = np.asarray(where["index"]) if joint else np.zeros(len(x), np.int64)
         known = (rows >= 0) & (rows < len(masses))
@@ -289,7 +290,7 @@ class Bins:
         cell = np.where(x == self.edges[-1], bins - 1, cell)
         empty = (cell < 0) | (cell >= bins) | (masses[rows, np.clip(cell, 0, bins - 1)] == 0)
         for side in (-1, 1):
-            near = self._place(x[empty] + side * _ROUNDING * (1 + np.abs(x[empty])))
+            near = self._place(x[empty] + side * roundings(self.edges, x[empty], dtype))
             lit = (near >= 0) & (near < bins)
             lit[lit] = masses[rows[empty][lit], near[lit]] > 0
             cell[np.flatnonzero(empty)[lit]] = near[lit]
@@ -321,15 +322,17 @@ class PlanarBins:
     def cell(self, where: Position) -> np.ndarray:
         """The cell of each state; -1 outside of all. One that rounds into an empty cell is counted beside it."""
         joint = self.masses.ndim == 3
-        x = np.asarray(where["x"], np.float64)
+        x = np.asarray(where["x"])
+        x, dtype = x.astype(np.float64), x.dtype
         masses = self.masses.reshape(-1, self.masses.shape[-2] * self.masses.shape[-1])
         rows = np.asarray(where["index"]) if joint else np.zeros(len(x), np.int64)
         known = (rows >= 0) & (rows < len(masses))
         rows = np.where(known, rows, 0)
         cell = self._place(x)
         empty = (cell < 0) | (masses[rows, np.maximum(cell, 0)] == 0)
+        off = np.stack([roundings(e, x[empty, k], dtype) for k, e in enumerate((self.x_edges, self.y_edges))], axis=-1)
         for side in itertools.product((-1, 0, 1), repeat=2):
-            near = self._place(x[empty] + np.array(side) * _ROUNDING * (1 + np.abs(x[empty])))
+            near = self._place(x[empty] + np.array(side) * off)
             lit = near >= 0
             lit[lit] = masses[rows[empty][lit], near[lit]] > 0
             cell[np.flatnonzero(empty)[lit]] = near[lit]
@@ -348,3 +351,10 @@ class PlanarBins:
 
 
 _ROUNDING = 5e-7  # four times float32's: what a few operations near an edge may be off by
+_ROUNDINGS = 4  # of the kind of floats that a position has
+
+
+def roundings(edges: np.ndarray, x: np.ndarray, dtype: Any) -> np.ndarray:
+    """How far a few operations may have moved x, of this type: by the scale of the bins (1 at most), and of itself."""
+    spacing = float(np.finfo(dtype).eps) if np.issubdtype(dtype, np.floating) else 0.0
+    return _ROUNDING * min(1.0, float(edges[-1] - edges[0])) + _ROUNDINGS * spacing * np.abs(x)

@@ -17,6 +17,7 @@ from mcmc1d.verify.law import Law, LawError, Position
 from mcmc1d.verify.subject import Look, Subject
 
 _CHUNK = 2**16  # the most replicas that are drawn, run and counted at once
+_ROUNDINGS = 8  # of a float, by which a few operations may pass a wall
 _PURPOSES = ("design", "pilot", "start", "fresh", "choice", "steps", "forget", "walk", "diagnosis", "one step", "law")
 
 
@@ -61,6 +62,8 @@ class Sampler:
     steps: tuple[int, ...] = (1,)
     max_weight: float = 1.0
     tests: list[Test] = field(default_factory=list)
+    slack: np.ndarray | float = 0.0
+    """How far beyond a wall of the support each coordinate is still at it; of itself, not of its rounding."""
 
     def words(self, purpose: str, stage: int = 0, chunk: int = 0) -> tuple[int, ...]:
         """What seeds one purpose, and no other: the law's draws and the kernel's steps must share no numbers."""
@@ -196,7 +199,7 @@ class Sampler:
 
     def outside(self, start: Position, look: Look, t: int) -> tuple[int, str]:
         """How many replicas lie outside of the law's support, and one of them in words."""
-        astray = ~inside(self.law, look.positions)
+        astray = ~inside(self.law, look.positions, self.slack)
         if not astray.any():
             return 0, ""
         k = int(np.argmax(astray))
@@ -205,14 +208,26 @@ class Sampler:
 
     def require_inside(self, draws: Position) -> None:
         """Raise `LawError` unless the law's own draws are in its support."""
-        within = inside(self.law, draws)
+        within = inside(self.law, draws, self.slack)
         if not within.all():
             at = point(coordinates(draws), int(np.argmin(within)))
             raise LawError(f"{self.law.name}: its own draw {at} lies outside its support; mend the one or the other")
 
 
-def inside(law: Law, where: Position) -> np.ndarray:
-    """Whether each position lies in the law's support; closed, and as wide as a float's rounding."""
+def slack(draws: Position) -> np.ndarray | float:
+    """1e-6 of the breadth of each coordinate of positions that are one array, of which a box may be the support.
+
+    1e-6 at most: a few operations on numbers about 1 may end so far beyond a wall.
+    """
+    if not isinstance(draws, np.ndarray) or draws.dtype.kind in "biu":
+        return 0.0
+    columns = draws.reshape(len(draws), -1).astype(np.float64)
+    middle = np.ptp(np.quantile(columns, [0.05, 0.95], axis=0), axis=0)
+    return 1e-6 * np.minimum(1.0, np.where(middle > 0, middle, np.ptp(columns, axis=0)))
+
+
+def inside(law: Law, where: Position, slack: np.ndarray | float) -> np.ndarray:
+    """Whether each position lies in the law's support; closed, and as wide as `slack` or a float's rounding."""
     n = len(jax.tree.leaves(where)[0])
     if law.support is None:
         return np.ones(n, bool)
@@ -223,8 +238,10 @@ def inside(law: Law, where: Position) -> np.ndarray:
         not isinstance(where, dict | tuple | list),
         f"{law.name}: support=(lower, upper) is for positions that are one array; give a function of n positions",
     )
-    x = np.asarray(where, np.float64).reshape(n, -1)
-    slack = 1e-6 * np.maximum(1, np.abs(x))
+    array = np.asarray(where)
+    x = array.astype(np.float64).reshape(n, -1)
+    rounding = 0.0 if array.dtype.kind in "biu" else _ROUNDINGS * float(jnp.finfo(array.dtype).eps)
+    slack = np.maximum(slack, rounding * np.abs(x))
     return np.all((x >= np.ravel(lower) - slack) & (x <= np.ravel(upper) + slack), axis=1)
 
 

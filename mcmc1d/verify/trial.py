@@ -18,7 +18,7 @@ from mcmc1d.verify.ledger import Scheme
 from mcmc1d.verify.library import LibrarySubject
 from mcmc1d.verify.power import LEAST, Power
 from mcmc1d.verify.report import Report, Result, Verdict
-from mcmc1d.verify.sampler import Sampler, Tally
+from mcmc1d.verify.sampler import Sampler, Tally, slack
 
 AIM = 0.005
 """The CDF gap that is aimed at unless one is asked for."""
@@ -56,6 +56,7 @@ class Trial:
         """Look at the law and the kernel with a few draws, and choose the tests."""
         sampler, subject = self.sampler, self.sampler.subject
         draws = sampler.draw("design", 0, 0, 2 * REPLICAS)
+        sampler.slack = slack(draws)
         sampler.require_inside(draws)
         require_random(sampler.law, draws, sampler.draw("pilot", 0, 0, 2 * REPLICAS))
         few = jax.tree.map(lambda a: a[: subject.unit], draws)
