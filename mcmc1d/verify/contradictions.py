@@ -1,9 +1,11 @@
-"""Where a law contradicts itself, by its own draws: then no kernel is to blame, and there is no verdict."""
+"""Where a law contradicts itself, or its own draws: then no kernel is to blame, and there is no verdict."""
 
 from collections.abc import Mapping, Sequence
 
+import jax
 import numpy as np
 
+from mcmc1d.numerics import require
 from mcmc1d.verify.battery import Test, coordinates
 from mcmc1d.verify.forgetting import point
 from mcmc1d.verify.law import Law, LawError, Position
@@ -11,6 +13,32 @@ from mcmc1d.verify.sampler import Tally
 
 _ATOM = 16  # draws that are one number: of a continuous law in float32 there are two or three
 _ROUNDED = 0.01  # of the draws, which may lie where the density rounds to zero
+
+
+def require_fit(law: Law, draws: Position) -> None:
+    """Raise `ValueError` where `bins` or `bad_start` are not of positions like the draws."""
+    if law.bins is not None:
+        x = np.asarray(draws.get("x", ()) if isinstance(draws, dict) else draws)
+        require(
+            x.size == len(jax.tree.leaves(draws)[0]),
+            f"{law.name}: bins= is for positions on the line, one array of shape (n,), not {_shapes(draws)}; what is "
+            "known of others are statistics, such as verify.Discrete(cell, masses, ordered=True)",
+        )
+    if law.bad_start is None:
+        return
+    try:
+        alike = jax.tree.map(lambda a, b: np.shape(b) == a.shape[1:] and np.all(np.isfinite(b)), draws, law.bad_start)
+    except (ValueError, TypeError):
+        alike = False
+    require(
+        all(jax.tree.leaves(alike)),
+        f"{law.name}: bad_start={law.bad_start!r} must be one finite position, of the shapes that a draw has, "
+        f"{_shapes(draws)} without the leading axis",
+    )
+
+
+def _shapes(tree: Position) -> str:
+    return str(jax.tree.map(np.shape, tree))
 
 
 def require_random(law: Law, draws: Position, again: Position) -> None:

@@ -101,9 +101,9 @@ class JaxSubject(Subject):
             state = _begin(self.kernel, key, jnp.arange(len(jax.tree.leaves(few)[0])), few)
             _require_kept(self.name, few, jax.vmap(self.kernel.where)(state))
         if self.kernel.deposits is not None:
-            self._check_deposits(self.kernel.deposits, after, out[1] if self.returns_info else None)
+            self._check_deposits(self.kernel.deposits, after, out[1] if self.returns_info else None, here)
 
-    def _check_deposits(self, deposits: Callable, state: Any, info: Any) -> None:
+    def _check_deposits(self, deposits: Callable, state: Any, info: Any, position: Any) -> None:
         wanted = f"{self.name}: deposits(state, info) must return (points, weights) of shapes (D, ...) and (D,)"
         try:
             points, weights = eqx.filter_eval_shape(deposits, state, info)
@@ -112,6 +112,11 @@ class JaxSubject(Subject):
         except (TypeError, AttributeError, ValueError) as error:
             raise ValueError(f"{wanted}; it failed: {str(error).splitlines()[0]}") from error
         require(len(count) == 1 and leading == {count}, f"{wanted}, not {_shapes(points)} and {_shapes(weights)}")
+        require(
+            jax.tree.map(lambda p: p.shape[1:], points) == jax.tree.map(lambda p: p.shape, position)
+            and not any(jnp.issubdtype(p.dtype, jnp.complexfloating) for p in jax.tree.leaves(points)),
+            f"{wanted}, of D points like the position, {_shapes(position)}; the points are {_shapes(points)}",
+        )
 
     def prepare(self, start: Position) -> Position:
         return jax.tree.map(_to_default, start)

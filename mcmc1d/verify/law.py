@@ -91,6 +91,10 @@ class Law:
                 isinstance(statistic, Continuous | Discrete),
                 f"{self.name}: statistic {name!r} must be a Continuous or a Discrete, not {type(statistic).__name__}",
             )
+        require(
+            self.cdf is None or self.bins is None,
+            f"{self.name}: give cdf= or bins=, not both: only the one would be looked at",
+        )
         if self.bins is not None:
             edges, masses = (np.asarray(part, np.float64) for part in self.bins)
             require(

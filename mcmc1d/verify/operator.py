@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
-from mcmc1d.checks import require_instance, rising
+from mcmc1d.checks import require_instance, rising, traced
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import require
@@ -294,11 +294,25 @@ def step_operator(
         f"{np.shape(density)}",
     )
     places = np.random.default_rng(seed).random((_PROBES, lower.size))
+    _require_step(step, lower.shape)
     values = np.asarray(jax.vmap(log_density)(jnp.asarray(lower + (upper - lower) * places)), np.float64)
     top = float(np.max(values, where=np.isfinite(values), initial=-np.inf))
     require(top > -np.inf, "step_operator: the density is zero, or not a number, everywhere in the box")
     flux = StepFlux(step, log_density, lower, upper, top)
     return Operator(measure(flux, 1, counts, points=points, scrambles=scrambles, seed=seed))
+
+
+def _require_step(step: Callable[[Any, Any], Any], shape: tuple[int, ...]) -> None:
+    """Raise `ValueError` unless the step takes a key and a position of this shape, and returns a position alone."""
+    position = jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype)
+    with traced("step_operator: step(key, position)"):
+        after = jax.eval_shape(step, jax.random.key(0, impl="threefry2x32"), position)
+    require(
+        hasattr(after, "shape") and np.prod(after.shape) == np.prod(shape),
+        f"step_operator: step(key, position) must return the position alone, of shape {shape}, not "
+        f"{jax.tree.map(lambda leaf: leaf.shape, after)}; of one that returns (position, info) give "
+        "lambda key, x: step(key, x)[0]",
+    )
 
 
 __all__ = ["Asymmetry", "Operator", "PredictedLaw", "step_operator", "transition_operator"]

@@ -84,9 +84,16 @@ class Sampler:
             f"{self.law.name}: sample(rng, {n}) must return {n} positions along the leading axis; it returned "
             + ", ".join(str(length[0]) if length else "a single number" for length in lengths),
         )
-        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(drawn) if np.asarray(leaf).dtype.kind == "f")
+        drawn = jax.tree.map(np.asarray, drawn)
+        for leaf in jax.tree.leaves(drawn):
+            require(
+                leaf.dtype.kind in "biu" or jnp.issubdtype(leaf.dtype, jnp.floating),
+                f"{self.law.name}: sample returned {leaf.dtype}, and positions are made of real numbers; give the real "
+                "and imaginary parts of complex ones as two arrays, {'real': z.real, 'imag': z.imag}",
+            )
+        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(drawn) if leaf.dtype.kind not in "biu")
         require(finite, f"{self.law.name}: sample returned NaN or an infinity")
-        return self.subject.prepare(jax.tree.map(np.asarray, drawn))
+        return self.subject.prepare(drawn)
 
     def own(self, test: Test) -> bool:
         """Whether the law's own draws can be put to a test: before the first step."""
@@ -179,7 +186,7 @@ class Sampler:
             return [f"{look.wrong}, after {t} step{'s' * (t > 1)}"]
         before, after = coordinates(start), coordinates(look.positions)
         for name, values in after.items():
-            bad = ~np.isfinite(values) if values.dtype.kind == "f" else np.zeros(len(values), bool)
+            bad = np.zeros(len(values), bool) if values.dtype.kind in "biu" else ~np.isfinite(values)
             if bad.any():
                 k = int(np.argmax(bad))
                 return [
@@ -232,7 +239,13 @@ def inside(law: Law, where: Position, slack: np.ndarray | float) -> np.ndarray:
     if law.support is None:
         return np.ones(n, bool)
     if callable(law.support):
-        return np.asarray(law.support(where), bool)
+        within = np.asarray(law.support(where))
+        require(
+            within.shape == (n,) and within.dtype.kind in "biu",
+            f"{law.name}: support must return one boolean a position, shape {(n,)}, not {within.dtype} of shape "
+            f"{within.shape}; of positions (n, d), (...).all(axis=1)",
+        )
+        return within.astype(bool)
     lower, upper = law.support
     require(
         not isinstance(where, dict | tuple | list),

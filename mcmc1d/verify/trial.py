@@ -8,7 +8,7 @@ import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
-from mcmc1d.verify.contradictions import require_alike, require_cells, require_density, require_random
+from mcmc1d.verify.contradictions import require_alike, require_cells, require_density, require_fit, require_random
 from mcmc1d.verify.design import design, main_coordinates, partitions, unseen
 from mcmc1d.verify.diagnose import diagnose
 from mcmc1d.verify.energy import Energy
@@ -56,6 +56,7 @@ class Trial:
         """Look at the law and the kernel with a few draws, and choose the tests."""
         sampler, subject = self.sampler, self.sampler.subject
         draws = sampler.draw("design", 0, 0, 2 * REPLICAS)
+        require_fit(sampler.law, draws)
         sampler.slack = slack(draws)
         sampler.require_inside(draws)
         require_random(sampler.law, draws, sampler.draw("pilot", 0, 0, 2 * REPLICAS))

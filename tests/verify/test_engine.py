@@ -297,7 +297,7 @@ def test_a_certificate_is_json_and_a_plot_is_drawn():
             lambda key, x: x,
             Law(pairs, bins=(np.array([-9.0, 0.0, 9.0]), np.array([0.5, 0.5]))),
             {},
-            r"one integer a position, shape",
+            "bins= is for positions on the line",
         ),
         (
             lambda key, x: x,
