@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable, Mapping
-from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -16,7 +15,7 @@ from mcmc1d.checkpoint import Place, Saving, describe
 from mcmc1d.checks import require_dtype, require_key, require_whole
 from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator, added, empty, require_estimators
-from mcmc1d.metropolis import Kernel, Step, as_kernel
+from mcmc1d.metropolis import Kernel, as_kernel, step_batch
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, require
 from mcmc1d.random import Source, source
@@ -225,7 +224,7 @@ def _advance(
 
     def body(k: Array, carry: tuple[State, Any]) -> tuple[State, Any]:
         state, sums = carry
-        steps = _step(key, numbers, kernel, target, first + k, state)
+        steps = step_batch(key, first + k, kernel, target, state, numbers)
         return steps.state, {name: added(estimators[name], sums[name], steps) for name in estimators}
 
     evaluated = jax.vmap(target.evaluate, out_axes=-1)(state)
@@ -241,18 +240,12 @@ def _record(
     """The x and the index of every chain after every step, the last states, and which are trapped."""
 
     def body(state: State, k: Array) -> tuple[State, Any]:
-        state = _step(key, numbers, kernel, target, k, state).state
+        state = step_batch(key, k, kernel, target, state, numbers).state
         return state, (jnp.moveaxis(state.seen.x, -1, 0), state.index)
 
     evaluated = jax.vmap(target.evaluate, out_axes=-1)(start)
     last, (x, index) = jax.lax.scan(body, evaluated, jnp.arange(steps))
     return x, index, State(last.index, last.u.T), jnp.isposinf(last.seen.log_c)
-
-
-def _step(key: Key, numbers: Source, kernel: Kernel, target: Multiplexed, step: Int[Array, ""], state: State) -> Step:
-    """One step of a batch of chains: one key per step, not one per chain, for numbers that are drawn all at once."""
-    w = numbers.uniforms(key, step, (kernel.dim_w(target), state.u.shape[-1]), state.u.dtype)
-    return jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
 
 
 __all__ = ["Progress", "Run", "Trace", "run", "trace"]

@@ -62,8 +62,12 @@ class Image(Estimator):
         log_f, log_i = self.f.log_f(x), self.importance.log_f(x)
         # No chain stands where I is zero; a deposit there, of weight zero, stands for nothing.
         z = jnp.where(jnp.isneginf(log_i), 0, jnp.exp(log_f - log_i))
-        per = jnp.exp(jnp.minimum(-log_i, 80))  # or a tail overflows; `Film.variance` has more to say of it
-        return weight * film_row(z, jnp.exp(log_f), per)
+        return weight * film_row(z, jnp.exp(log_f), reciprocal(log_i))
+
+
+def reciprocal(log_i: Float[Array, "..."]) -> Float[Array, "..."]:
+    """1 / I, limited to e^80: its tail is heavy, of which `Film.variance` has more to say, and would overflow."""
+    return jnp.exp(jnp.minimum(-log_i, 80))
 
 
 def film_row(z: Float[Array, "..."], f: Float[Array, "..."], per: Float[Array, "..."]) -> Float[Array, "... 5"]:

@@ -3,6 +3,7 @@
 import abc
 import itertools
 from collections.abc import Sequence
+from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -12,8 +13,9 @@ import jax.numpy as jnp
 from mcmc1d.checks import require_instance
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.numerics import require, select
+from mcmc1d.random import SOURCES, Source
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Bool, Float, Int, Scalar
+from mcmc1d.types import Array, Bool, Float, Int, Key, Scalar
 
 T = TypeVar("T")
 M = TypeVar("M", bound=Move)
@@ -87,6 +89,22 @@ class Kernel(eqx.Module):
     def deposited(self, target: Multiplexed) -> Deposited | None:
         """What it deposits, where that is not the chain's own target at a total weight of one; on the host."""
         return None
+
+
+def step_batch(
+    key: Key,
+    step: Int[Array, ""],
+    kernel: Kernel,
+    target: Multiplexed,
+    states: State,
+    numbers: Source = SOURCES["threefry"],
+) -> Step:
+    """Step number `step` of a batch of chains, evaluated states, the last axis of each leaf counting them.
+
+    One key per step, not one per chain, for numbers that are drawn all at once.
+    """
+    w = numbers.uniforms(key, step, (kernel.dim_w(target), states.u.shape[-1]), states.u.dtype)
+    return jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(states, w)
 
 
 class OfMove(Kernel, Generic[M]):

@@ -30,6 +30,11 @@ def devices() -> list[Any]:
     return local if len(local) > 1 or chosen is not None else [None]
 
 
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def put(tree: T, device: Any) -> T:
     """The same pytree with its arrays on a device; as it is, where the choice is JAX's."""
     if device is None:
@@ -92,7 +97,6 @@ def _spread(
         return
     count = len(todo)
     at_hand = devices()[:count]
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wide = jnp.zeros(()).dtype == jnp.float64
 
     def alike(function: Callable[..., T]) -> Callable[..., T]:
@@ -104,7 +108,7 @@ def _spread(
 
         return inside
 
-    with ThreadPoolExecutor(min(count, max(cores, len(at_hand)))) as pool:
+    with ThreadPoolExecutor(min(count, max(cores(), len(at_hand)))) as pool:
         futures: list[Future[None]] = []
         try:
             if count > len(at_hand):

@@ -1,7 +1,5 @@
 """Images without one long chain: independent samples, and energy redistribution (ERPT, Cline, Talbot, Egbert 2005)."""
 
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ import numpy as np
 from mcmc1d.checks import require_key, require_whole
 from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image, film_row
-from mcmc1d.metropolis import Kernel, as_kernel
+from mcmc1d.metropolis import Kernel, as_kernel, step_batch
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
@@ -149,8 +147,7 @@ def _walk(
     def one(key: Key, state: State, weight: Array) -> tuple[Array, Array]:
         def body(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
             state, sums, accepted = carry
-            w = uniforms(key, k, (kernel.dim_w(target), weight.shape[0]), dtype)
-            step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
+            step = step_batch(key, k, kernel, target, state)
             step = eqx.tree_at(lambda s: s.deposits.weight, step, step.deposits.weight * weight[None])
             return step.state, added(estimator, sums, step), accepted + (step.info.acceptance.mean(0) * weight).sum()
 

@@ -4,7 +4,6 @@ One program serves every stage: the table inside the importance function is trac
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,7 +16,7 @@ from mcmc1d.checks import require_key, require_whole
 from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image
 from mcmc1d.importance import Product, Regions, require_importance
-from mcmc1d.metropolis import Kernel, as_kernel
+from mcmc1d.metropolis import Kernel, as_kernel, step_batch
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast, require
 from mcmc1d.pixels import Pixels, masses, resample
@@ -200,8 +199,8 @@ class Renderer(eqx.Module):
             fault = int(np.max(faults))
             require(fault == 0, f"render: {_FAULTS.get(fault)}")
         sums, accepted = np.zeros(()), np.zeros(())
-        for first in range(0, steps, _STEPS_AT_ONCE):
-            count = min(_STEPS_AT_ONCE, steps - first)
+        for first in range(0, steps, STEPS_AT_ONCE):
+            count = min(STEPS_AT_ONCE, steps - first)
             more, rate, state = _expose(
                 keys, self.scene, self.kernel, values, regions, state, _whole(first), _whole(count)
             )
@@ -228,7 +227,7 @@ class Renderer(eqx.Module):
         return jnp.asarray(np.pad(values, pad, constant_values=1.0))
 
 
-_STEPS_AT_ONCE = 2**9
+STEPS_AT_ONCE = 2**9
 """So that acceptances, which are added up in float32, stay exact enough."""
 _ATTEMPTS = 2**18
 """Candidates for each exact start, at most."""
@@ -279,8 +278,7 @@ def _expose(
 
         def body(k: Array, carry: tuple[State, Array, Array]) -> tuple[State, Array, Array]:
             state, sums, accepted = carry
-            w = uniforms(step_key, first + k, (kernel.dim_w(target), begin.u.shape[-1]), dtype)
-            step = jax.vmap(partial(kernel.step, target), in_axes=-1, out_axes=-1)(state, w)
+            step = step_batch(step_key, first + k, kernel, target, state)
             return step.state, added(estimator, sums, step), accepted + step.info.acceptance.mean()
 
         zero = empty(estimator, target, kernel, dtype)

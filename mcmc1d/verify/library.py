@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.compiling import quickly, traced_once, wide_jit
-from mcmc1d.metropolis import Cycle, Kernel, Metropolis
+from mcmc1d.metropolis import Cycle, Kernel, Metropolis, step_batch
 from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
@@ -110,7 +110,7 @@ def _advance_library(
     n, dtype, (first, last) = states.u.shape[-1], states.u.dtype, span
 
     def one(states: State, t: Array) -> tuple[State, Any]:
-        step = _library_step(key, kernel, target, states, t)
+        step = step_batch(key, t, kernel, target, states)
         return step.state, step.deposits
 
     one, (_, shapes) = traced_once(one, states, first)
@@ -127,13 +127,8 @@ def _advance_library(
 @quickly
 def _one_step(key: Key, kernel: Kernel, target: Multiplexed, state: State) -> tuple[State, Array]:
     states = jax.vmap(target.evaluate, out_axes=-1)(state)
-    step = _library_step(key, kernel, target, states, jnp.asarray(0))
+    step = step_batch(key, jnp.asarray(0), kernel, target, states)
     return State(step.state.index, step.state.u.T), step.info.kind[0]
-
-
-def _library_step(key: Key, kernel: Kernel, target: Multiplexed, state: State, t: Array) -> Any:
-    w = uniforms(key, t, (kernel.dim_w(target), state.u.shape[-1]), state.u.dtype)
-    return jax.vmap(lambda s, w: kernel.step(target, s, w), in_axes=-1, out_axes=-1)(state, w)
 
 
 def _describe(kernel: Kernel) -> str:

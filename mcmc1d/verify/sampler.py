@@ -1,6 +1,5 @@
 """Independent replicas of a kernel that start as exact draws, run and counted chunk by chunk."""
 
-import os
 import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.numerics import require
+from mcmc1d.parallel import cores
 from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates
 from mcmc1d.verify.forgetting import point
 from mcmc1d.verify.law import Law, LawError, Position
@@ -104,7 +104,7 @@ class Sampler:
         """How many chunks run side by side."""
         if not self.subject.threads:
             return 1
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return cores()
 
     def seconds_a_replica(self) -> float:
         """All told: drawn, run and counted; compiled before."""

@@ -16,16 +16,16 @@ from mcmc1d.flatland.integrators.chains import EachChain
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.flatland.sampling import undefined_light
+from mcmc1d.image import reciprocal
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast, require
 from mcmc1d.random import uniforms
+from mcmc1d.rendering import STEPS_AT_ONCE
 from mcmc1d.starts import accepted, independent_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
 ROWS = ("density", "value", "squares", "area", "contribution")
-_STEPS_AT_ONCE = 2**9
-"""So that acceptances, which are added up in float32, stay exact enough."""
 _CANDIDATES = 2**13
 """For exact starts, at once."""
 _PROBES = 2**16
@@ -50,8 +50,7 @@ class Moments(Estimator):
         film, seen, deposits = EachChain(self.paths, self.chains), steps.state.seen, steps.deposits
         moved, here = deposits.x, seen.x[None]
         log_s, log_here = self._log_shader(moved), self._log_shader(here)
-        # As in `image.Image`: 1 / C has a heavy tail, which must not overflow.
-        per = jnp.exp(jnp.minimum(-seen.log_c, 80))[None]
+        per = reciprocal(seen.log_c)[None]
         rows = (
             (moved, deposits.weight),
             (moved, deposits.weight * jnp.exp(-log_s)),
@@ -92,8 +91,8 @@ def expose(
     each = jnp.asarray(np.repeat(values, lanes // len(values), 0).T)
     film = Moments(light.light.paths, lanes, light.shader)
     state, rows, accepted = State(start.index, jnp.asarray(start.u).T), 0.0, 0.0
-    for first in range(0, steps, _STEPS_AT_ONCE):
-        count = min(_STEPS_AT_ONCE, steps - first)
+    for first in range(0, steps, STEPS_AT_ONCE):
+        count = min(STEPS_AT_ONCE, steps - first)
         state, sums, rate = _exposed(key, kernel, target, film, each, state, jnp.asarray(first), jnp.asarray(count))
         rows, accepted = rows + np.asarray(sums, np.float64), accepted + np.asarray(rate, np.float64)
     dealt = np.moveaxis(np.asarray(rows), -1, 0).reshape(len(values), -1, len(ROWS), values.shape[1])
