@@ -11,6 +11,7 @@ from mcmc1d.numerics import require
 from mcmc1d.verify.law import Law, Position
 
 _ROWS = 4096  # that are evaluated at once: of every new number a program would be compiled
+_WALL = 1e-6  # of the way to the median, within which of a wall a number is at it
 _KEPT = 4  # batches of each thread: where chains start, and where they are
 
 
@@ -34,6 +35,18 @@ class Energy:
         self.last.kept = [found, *kept][:_KEPT]
         return found[1]
 
+    def zero(self, where: Position) -> np.ndarray:
+        """(n,), where the density is zero.
+
+        Not where it is so for a rounding onto a wall, next to which, inwards, it is not.
+        """
+        found = np.isneginf(self(where))
+        rows = np.flatnonzero(found)[:_ROWS]
+        if len(rows):
+            inwards = jax.tree.map(lambda a: _inwards(np.asarray(a), np.resize(rows, _ROWS)), where)
+            found[rows] = np.isneginf(self._evaluated(inwards))[: len(rows)]
+        return found
+
     def _evaluated(self, where: Position) -> np.ndarray:
         leaves = jax.tree.leaves(where)
         n = len(leaves[0])
@@ -49,6 +62,15 @@ class Energy:
             f"{values[0].shape[1:]}: sum over the coordinates",
         )
         return np.concatenate(values)[:n]
+
+
+def _inwards(a: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Some rows, by roundings nearer to the median of all."""
+    if a.dtype.kind != "f":
+        return a[rows]
+    way = np.median(a, axis=0) - a[rows]
+    step = np.maximum(_WALL * np.abs(way), 4 * np.abs(np.spacing(a[rows])))
+    return (a[rows] + np.sign(way) * step).astype(a.dtype)
 
 
 def _rows(where: Position, n: int, first: int) -> Position:

@@ -215,7 +215,7 @@ class Sampler:
         if dark and look.dark is not None:
             change = look.dark
         elif dark and self.energy is not None:
-            now, before = (np.isneginf(self.energy(where)) for where in (look.positions, start))
+            now, before = (self.energy.zero(where) for where in (look.positions, start))
             change = now.astype(np.int8) - before
         change = np.where(left, 1, change)
         if not (change > 0).any():

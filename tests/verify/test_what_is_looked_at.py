@@ -192,6 +192,19 @@ def test_draws_whose_density_rounds_to_zero_are_no_mistake():
     assert verify(right, law, **SIZE).passed
 
 
+def test_a_number_that_is_rounded_onto_a_wall_is_inside():
+    """Zero comes out of float32's uniform numbers once in 2^23, where the density of an open interval is zero."""
+    law, _ = exactly(
+        lambda rng, n: 1 - rng.random((n, 2)),
+        cdf=lambda x: np.clip(x, 0, 1),
+        log_density=lambda x: jnp.where(jnp.all((x > 0) & (x <= 1)), 0.0, -jnp.inf),
+    )
+    rounds = HostKernel(lambda rng, x: (y := 1 - rng.random(x.shape)) * (y > 1e-4 * (np.arange(2) == 0)))
+    below = HostKernel(lambda rng, x: (y := 1 - rng.random(x.shape)) - (y < 1e-4) * y * 1.5)
+    assert verify(rounds, law, **SIZE).passed
+    assert verify(below, law, **SIZE).verdict is Verdict.INCONCLUSIVE
+
+
 class Strips(Target):
     """On [0, 1], every second of 2^14 strips: too narrow for bins."""
 
