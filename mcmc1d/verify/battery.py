@@ -17,6 +17,7 @@ from mcmc1d.verify.goodness import (
     cells_p_value,
     dkw_p_value,
     sign_p_value,
+    smallest_cell_gap,
     smallest_gap,
     smallest_two_sample_gap,
 )
@@ -79,7 +80,10 @@ class Test(abc.ABC):
         """Valid at every level."""
 
     def gap(self, n: int, level: float, miss: float) -> float | None:
-        """The smallest CDF gap that n replicas show at a level with probability 1 - `miss`; None if none is meant."""
+        """The smallest CDF gap that n replicas show at a level with probability 1 - `miss`; None if none is meant.
+
+        Of values without an order, that in the probability of one of their cells.
+        """
         return None
 
     def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
@@ -132,13 +136,14 @@ class OneSample(Test):
     def _p_value_inside(self, inside: np.ndarray) -> float:
         if not inside.any():
             return 1.0
-        if not self._ordered:
+        if not self.ordered:
             return p_value_of_cells(inside, self.masses)
         pooled = [pool(part, POOLED, self.deposits) for part in (inside, self.masses)]
         return min(1.0, 2 * min(dkw_p_value(inside, self.masses), p_value_of_cells(*pooled)))
 
     @property
-    def _ordered(self) -> bool:
+    def ordered(self) -> bool:
+        """Whether its values follow each other on the line."""
         return isinstance(self.statistic, Continuous) or self.statistic.ordered
 
     @property
@@ -148,15 +153,15 @@ class OneSample(Test):
         return float(self.masses.max()) if self.statistic.cut else 0.0
 
     def gap(self, n: int, level: float, miss: float) -> float | None:
-        if not self._ordered:
-            return None
+        if not self.ordered:
+            return self.max_weight * smallest_cell_gap(n, level * (1 - ASTRAY), int(np.sum(self.masses > 0)), miss)
         own = 1 / FINE if isinstance(self.statistic, Continuous) else 0
         return self.max_weight * smallest_gap(n, level * (1 - ASTRAY), miss) + own
 
     def measured_gap(self, counts: tuple[np.ndarray, ...]) -> float:
         """The gap of the two CDFs, what lies in no cell above them all; of unordered cells, the largest difference."""
         difference = counts[0][:-1] / counts[0].sum() - self.masses
-        return float(np.abs(np.cumsum(difference) if self._ordered else difference).max())
+        return float(np.abs(np.cumsum(difference) if self.ordered else difference).max())
 
     def worst(self, counts: tuple[np.ndarray, ...], most: int) -> list[str]:
         outside, n = int(counts[0][-1]), counts[0].sum()
@@ -180,14 +185,14 @@ class OneSample(Test):
         labels = self.statistic.labels if isinstance(self.statistic, Discrete) else ()
         if not labels:
             return f"{self.name}, cell {k}"
-        first = k * max(1, len(labels) // POOLED) if self._ordered else k
-        last = min(first + max(1, len(labels) // POOLED) if self._ordered else first + 1, len(labels)) - 1
+        first = k * max(1, len(labels) // POOLED) if self.ordered else k
+        last = min(first + max(1, len(labels) // POOLED) if self.ordered else first + 1, len(labels)) - 1
         return labels[first] if first == last else f"{labels[first]} to {labels[last]}"
 
     def _shown(self, counts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Counts and masses of the cells that are told apart in reports: neighbours pooled, where there are any."""
         inside = counts[0][:-1]
-        if not self._ordered:
+        if not self.ordered:
             return inside, self.masses
         return pool(inside, POOLED, self.deposits), pool(self.masses, POOLED, self.deposits)
 
@@ -197,7 +202,7 @@ class OneSample(Test):
         return (found - n * expected) / np.sqrt(np.maximum(n * expected * (1 - expected), 1e-12))
 
     def curve(self, counts: tuple[np.ndarray, ...]) -> np.ndarray | None:
-        if not self._ordered:
+        if not self.ordered:
             return None
         inside = counts[0][: len(self.masses) - self.deposits]
         difference = np.cumsum(inside / counts[0].sum() - self.masses[: len(inside)])
@@ -220,6 +225,8 @@ class TwoSample(Test):
     ordered: bool = True
     deposits: bool = False
     max_weight: float = 1.0
+    widest: float = 0.0
+    """The largest share of the law in a cell of several values."""
     auxiliary: bool = False
     """Whether it is of a coordinate that says nothing more than others do."""
 
@@ -250,7 +257,7 @@ class TwoSample(Test):
 
     @property
     def resolution(self) -> float:
-        return 1 / (len(self.ends) + 1) if self.ordered else 0.0
+        return self.widest if self.ordered else 0.0
 
     def measured_gap(self, counts: tuple[np.ndarray, ...], n: int) -> float:
         """The largest difference at a cut or in a cell."""

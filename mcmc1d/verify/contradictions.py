@@ -7,6 +7,7 @@ import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import Test, coordinates
+from mcmc1d.verify.ends import varies
 from mcmc1d.verify.forgetting import point
 from mcmc1d.verify.law import Law, LawError, Position
 from mcmc1d.verify.sampler import Tally
@@ -44,7 +45,7 @@ def _shapes(tree: Position) -> str:
 def require_random(law: Law, draws: Position, again: Position) -> None:
     """Raise `LawError` where the sampler does not look at its generator: its draws would count many times."""
     one, two = coordinates(draws), coordinates(again)
-    if any(np.ptp(values) > 0 for values in one.values()) and all(np.array_equal(one[name], two[name]) for name in one):
+    if any(varies(values) for values in one.values()) and all(np.array_equal(one[name], two[name]) for name in one):
         raise LawError(
             f"{law.name}: sample(rng, n) gives the same draws whatever rng is; draw them from the generator (a JAX key "
             "from rng.integers(2**32))"
@@ -101,12 +102,12 @@ def require_alike(
 def _coarse(draws: Position) -> str:
     """A word on draws that are the same number, or so far from zero that their floats are coarse."""
     for name, values in coordinates(draws).items():
-        if values.dtype == np.float32 and np.ptp(values) > 0:
+        if values.dtype == np.float32 and varies(values):
             step = float(np.spacing(np.abs(values).max()))
             if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):
                 return f"; in float32 {name} has steps of {step:.2g}: verify it with jax.enable_x64(True)"
         numbers, counts = np.unique(values, return_counts=True)
-        if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and np.ptp(values) > 0:
+        if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and varies(values):
             return (
                 f"; {counts.max()} of {values.size} draws are {name} = {numbers[np.argmax(counts)]:.6g}: where that is "
                 "rounding, verify it with jax.enable_x64(True); where the law has an atom, say so by `statistics`, for "

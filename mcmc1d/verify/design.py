@@ -10,6 +10,7 @@ import numpy as np
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import POOLED, OneSample, Test, TwoSample, coordinates, evaluate
+from mcmc1d.verify.ends import cell_ends, inner_ends, varies
 from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.exchangeability import Crossed, Exchangeable
 from mcmc1d.verify.forgetting import Partition
@@ -23,8 +24,6 @@ _TRIPLES = 5  # coordinates at most of which every three are looked at jointly
 _MOST_PAIRS = 64  # of coordinates that are looked at jointly, where there are more than eight
 _CROSSED = 4  # cells of each of two coordinates whose first and last values are compared
 _DECILES = 10
-_ROUNDINGS = 16  # of a float, that two values of a discrete law may be apart and are one
-_DISTINCT = 512  # values from which on a law is taken for continuous
 _PAIRS = 12  # cells of a statistic whose first and last values are compared: 66 pairs
 
 
@@ -36,12 +35,14 @@ def design(
     deposits: Look | None,
     max_weight: float,
     deposited: Mapping[str, Statistic] | None = None,
+    energy: Energy | None = None,
 ) -> list[Test]:
     """The tests for a law; `draws`, exact and used for nothing else, set the cells' ends.
 
     A coordinate is held to its exact law where that is known, otherwise to fresh draws; so are the density and joint
     cells: of every two coordinates (beyond eight coordinates, of neighbours and others, 64 pairs in all) and, of up to
-    five, of every three; from four on, the orthants about the medians of up to eight neighbours at once.
+    five, of every three; from four on, the orthants about the medians of up to eight neighbours at once. The density's,
+    `energy`, is looked at unless the position is one number whose law is known without a gap.
     The law's auxiliary coordinates stay out of the joint cells. Deposits are held to the law of the positions, or to
     what is known of their own, `deposited`; `max_weight` is the largest total weight of a step over the expected one.
     Raises `ValueError` for a CDF that falls, and for a statistic that has a coordinate's name and is not its law.
@@ -52,41 +53,47 @@ def design(
     tests: list[Test] = []
     for name, statistic in known.items():
         ordered = isinstance(statistic, Continuous) or statistic.ordered
-        layer = "marginal" if ordered and (name in columns or scalar) else "joint"
+        layer = "marginal" if name in columns or (ordered and scalar) else "joint"
         tests.append(OneSample(name, statistic, layer, places=_places(statistic, draws)))
     for name, statistic in ({} if deposits is None else known if deposited is None else deposited).items():
         tests.append(OneSample(name, statistic, "deposits", True, max_weight, _places(statistic, draws)))
     points = coordinates(deposits.picked.points) if deposits is not None and deposits.picked is not None else {}
     for name, values in columns.items():
         column = _Column(name)
-        ends = _quantiles(values, _CUTS)
-        if name not in known and len(ends):
-            varies = bool(np.ptp(values) > 0)
-            tests.append(TwoSample(name, column, ends, ordered=varies, auxiliary=varies and name not in main))
+        vary = varies(values)
+        if name not in known:
+            ends = cell_ends(values, _CUTS)
+            cells = {"ends": ends.inner, "widest": ends.widest}
+            tests.append(TwoSample(name, column, **cells, ordered=vary, auxiliary=vary and name not in main))
             if deposited is None and name in points:
-                tests.append(TwoSample(name, column, ends, "deposits", deposits=True, max_weight=max_weight))
-        ends = _quantiles(values, _PAIRS)
-        if reversible and np.ptp(values) > 0:
+                weighed = {"layer": "deposits", "deposits": True, "max_weight": max_weight}
+                tests.append(TwoSample(name, column, **cells, **weighed))
+        if reversible and vary:
+            ends = inner_ends(values, _PAIRS)
             tests.append(Exchangeable(name, column, ends, 1e-4 * float(np.ptp(np.quantile(values, [0.05, 0.95])))))
     if len(main) > 1:
         # What a user calls like a group need not be its cells.
         exact = known if law.auxiliary else {}
         for group in (group for group in _groups(main) if ", ".join(group) not in exact):
-            inner = tuple((name, _quantiles(columns[name], _JOINT.get(len(group), 2))) for name in group)
+            inner = tuple((name, inner_ends(columns[name], _JOINT.get(len(group), 2))) for name in group)
             joint = _Joint(inner)
             ends = np.arange(1, joint.cells) - 0.5
             tests.append(TwoSample(", ".join(group), joint, ends, "joint", ordered=False))
     tests += [_crossed(a, b, columns) for a, b in _pairs(main) if reversible]
-    if law.log_density is not None and not scalar:
-        energy = Energy(law)
-        ends = _quantiles(energy(draws), _CUTS)
+    if energy is not None and not (scalar and all(_gapless(known.get(name)) for name in columns)):
+        ends = inner_ends(energy(draws), _CUTS)
         if len(ends):
             tests.append(TwoSample("log density", energy, ends, "density"))
     return tests
 
 
+def _gapless(statistic: Statistic | None) -> bool:
+    """Whether the law of a coordinate is known everywhere, and not in cells of many values only."""
+    return isinstance(statistic, Continuous) or (statistic is not None and not statistic.cut)
+
+
 def _crossed(a: str, b: str, columns: Mapping[str, np.ndarray]) -> Crossed:
-    ends = _quantiles(columns[a], _CROSSED), _quantiles(columns[b], _CROSSED)
+    ends = inner_ends(columns[a], _CROSSED), inner_ends(columns[b], _CROSSED)
     return Crossed(f"{a} with {b}", (_Column(a), _Column(b)), ends)
 
 
@@ -95,7 +102,7 @@ def partitions(law: Law, draws: Position) -> list[Partition]:
     columns, names = coordinates(draws), main_coordinates(law, draws)
     groups = [(name,) for name in names] + _pairs(names) + [group for group in [tuple(names)] if len(group) == 3]
     cells = [
-        _Joint(tuple((name, _quantiles(columns[name], _DECILES if len(group) == 1 else 2)) for name in group))
+        _Joint(tuple((name, inner_ends(columns[name], _DECILES if len(group) == 1 else 2)) for name in group))
         for group in groups
     ]
     return [Partition(cell, cell.cells) for cell in cells]
@@ -117,7 +124,7 @@ def main_coordinates(law: Law, draws: Position) -> list[str]:
     return [
         name
         for name, values in coordinates(draws).items()
-        if np.ptp(values) > 0 and name.partition("[")[0] not in law.auxiliary
+        if varies(values) and name.partition("[")[0] not in law.auxiliary
     ]
 
 
@@ -258,46 +265,6 @@ def _places(statistic: Statistic, draws: Position) -> np.ndarray | None:
     return np.quantile(np.asarray(statistic.value(draws), np.float64), np.linspace(0, 1, POOLED + 1))
 
 
-def _quantiles(values: np.ndarray, cells: int) -> np.ndarray:
-    """Inner ends of about equally probable cells, none on a value that occurs: a last bit must not decide.
-
-    Of discrete values they are halfway between the ones that occur; what differs by a few roundings is one value.
-    """
-    values = np.asarray(values)
-    values = values[np.isfinite(values)]  # a log-density may be -inf
-    if not values.size:
-        return values.astype(np.float64)
-    noise = (
-        _ROUNDINGS * float(np.finfo(values.dtype).eps) * float(np.abs(values).max()) if values.dtype.kind == "f" else 0
-    )
-    values = values.astype(np.float64)
-    different = np.unique(values)
-    groups = _together(different, noise)
-    if len(groups) == 1:  # what the law never changes, a kernel must not
-        return np.array([np.nextafter(different[0] - noise, -np.inf), np.nextafter(different[-1] + noise, np.inf)])
-    firsts, lasts = different[groups], different[np.append(groups[1:], len(different)) - 1]
-    between = (lasts[:-1] + firsts[1:]) / 2
-    if len(groups) <= cells:
-        return between
-    # The end under each quantile; of values that are no more than roundings apart, the widest gap of a few.
-    at = np.searchsorted(firsts, np.quantile(values, np.arange(1, cells) / cells), side="right") - 2
-    near = np.unique(np.clip(at, 0, None))
-    if len(groups) == len(different) > _DISTINCT:
-        around = np.clip(near[:, None] + np.arange(-2, 3), 0, len(between) - 1)
-        near = np.unique(around[np.arange(len(near)), np.argmax(np.diff(different)[around], axis=1)])
-    return between[near]
-
-
-def _together(different: np.ndarray, noise: float) -> np.ndarray:
-    """Where a new value begins among rising ones, of which those within `noise` are one; of many, each is its own."""
-    if len(np.unique(np.round(different / noise))) > _DISTINCT if noise else True:
-        return np.arange(len(different))
-    starts = [0]
-    while (following := int(np.searchsorted(different, different[starts[-1]] + noise, side="right"))) < len(different):
-        starts.append(following)
-    return np.array(starts)
-
-
 def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
     """Which coordinates are looked at jointly: pairs, every three of a few, and blocks of eight."""
     blocks = [tuple(names[k : k + _ORTHANTS]) for k in range(0, len(names), _ORTHANTS)]
@@ -305,7 +272,7 @@ def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
     return list(dict.fromkeys([*_pairs(names), *triples, *(block for block in blocks if len(block) > 2)]))
 
 
-def unseen(law: Law, draws: Position) -> list[str]:
+def unseen(law: Law, draws: Position, tests: Sequence[Test]) -> list[str]:
     """What no test looks at, in words: what a PASS says nothing of."""
     names, unheld = main_coordinates(law, draws), []
     if "u" in law.auxiliary and not any(name.startswith("x") for name in law.statistics):
@@ -313,6 +280,7 @@ def unseen(law: Law, draws: Position) -> list[str]:
             "whether log_prob is the density of what the techniques make: of x no exact value is known, and the law's "
             "own draws believe it too; check_technique tells"
         ]
+    unheld += _blurred(draws, tests) + _within_cells(law, names, coordinates(draws), tests)
     if len(names) <= 3:
         return unheld
     least = "four" if len(names) <= _TRIPLES else "three"
@@ -323,3 +291,32 @@ def unseen(law: Law, draws: Position) -> list[str]:
         *unheld,
         f"what {least} coordinates show together, but for {at_once} at once below or above their medians{pairs}",
     ]
+
+
+def _blurred(draws: Position, tests: Sequence[Test]) -> list[str]:
+    """Coordinates of which two values may have been taken for one that is rounded in two ways."""
+    said = []
+    for name, values in coordinates(draws).items():
+        if any(isinstance(test, TwoSample) and test.name == name for test in tests):
+            noise = cell_ends(values, _CUTS).blurred
+            said += [f"values of {name} less than {noise:.2g} apart: they are taken for roundings of one"] * (noise > 0)
+    return said
+
+
+def _within_cells(
+    law: Law, names: Sequence[str], columns: Mapping[str, np.ndarray], tests: Sequence[Test]
+) -> list[str]:
+    """How fine joint laws are looked at, unless the density or another exact value shows what is finer."""
+    finer = any(isinstance(s, Continuous) and name not in columns for name, s in law.statistics.items())
+    if law.log_density is not None or finer or len(names) < 2:
+        return []
+    for test in tests:
+        if isinstance(test, TwoSample) and isinstance(test.value, _Joint) and len(test.value.inner) == 2:
+            # Where each value has a cell of its own there is nothing finer.
+            counts = [(len(ends) + 1, len(np.unique(columns[name]))) for name, ends in test.value.inner]
+            if any(cells < values for cells, values in counts):
+                cells = " x ".join(str(cells) for cells, _ in counts)
+                return [f"the joint law of {test.name} within {cells} cells; a log_density in the law shows much of it"]
+        if isinstance(test, OneSample) and test.layer == "joint" and len(test.name.split(", ")) > 1:
+            return [f"the joint law of {test.name} within the {len(test.masses)} cells of known probability"]
+    return []

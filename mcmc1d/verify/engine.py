@@ -51,7 +51,7 @@ def verify(
         seed: of all random numbers, with `name`.
         level: the probability that a right kernel fails; 1e-5, or the ledger's share.
         gap: the CDF gap to detect, or be INCONCLUSIVE. Without it 0.005 is aimed at, and whatever up to 0.05 the time
-            affords is reported.
+            affords is reported. Of values without an order, the gap in the probability of one of them.
         power: the probability with which the gap is detected.
         seconds: what a first stage may take, in stepping and counting; compiling comes on top, and so do further
             stages, which a right kernel needs with a probability of 0.04: as large, or four times as large where that

@@ -60,6 +60,14 @@ def smallest_gap(n: int, level: float, miss: float = 0.01) -> float:
     return float((np.sqrt(np.log(4 / level)) - ndtri(miss) / np.sqrt(2)) / np.sqrt(2 * n))
 
 
+def smallest_cell_gap(n: int, level: float, cells: int, miss: float = 0.01) -> float:
+    """As `smallest_gap`, in the probability of one of so many cells, by `cells_p_value` under `level`.
+
+    The count in a cell has a standard deviation of sqrt(n) / 2 at most, be it right or wrong.
+    """
+    return float((-ndtri(level / (2 * cells)) - ndtri(miss)) / np.sqrt(4 * n))
+
+
 def smallest_two_sample_gap(n: int, level: float, cuts: int, miss: float = 0.01) -> float:
     """As `smallest_gap`, for two samples of n compared by `sign_p_value` at so many cuts.
 

@@ -119,7 +119,7 @@ class JaxSubject(Subject):
         )
 
     def prepare(self, start: Position) -> Position:
-        return jax.tree.map(_to_default, start)
+        return jax.tree.map(lambda leaf: _to_default(leaf, self.name), start)
 
     def drawn(self, start: Position) -> bool:
         if self.kernel.init is None:
@@ -276,13 +276,24 @@ def _arrays(tree: Any) -> Any:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, int | float) else leaf, tree)
 
 
-def _to_default(a: np.ndarray) -> np.ndarray:
-    """In JAX's default precision, floats rounded towards zero: nothing is rounded onto a wall such as 1."""
+def _to_default(a: np.ndarray, name: str) -> np.ndarray:
+    """In JAX's default precision, floats rounded towards zero: nothing is rounded onto a wall such as 1.
+
+    Raises `ValueError` for integers that are none of its default's.
+    """
     a = np.asarray(a)
     if a.dtype.kind == "f":
         narrow = a.astype(jnp.zeros(()).dtype)
         return np.where(np.abs(narrow) > np.abs(a), np.nextafter(narrow, np.zeros_like(narrow)), narrow)
-    return a.astype(jnp.arange(1).dtype) if a.dtype.kind in "iu" else a
+    if a.dtype.kind not in "iu":
+        return a
+    narrow = a.astype(jnp.arange(1).dtype)
+    require(
+        bool(np.all((narrow == a) & ((narrow < 0) == (a < 0)))),
+        f"{name}: the law's draws, from {a.min()} to {a.max()}, do not fit {narrow.dtype}, JAX's own; verify it "
+        "with jax.enable_x64(True), or draw words of 32 bits as int32",
+    )
+    return narrow
 
 
 def _alike(a: Any, b: Any) -> bool:

@@ -45,13 +45,14 @@ class LibrarySubject(Subject):
         key, most = key_of((*seed, first)), jnp.asarray(self.most, self.dtype)
         state = _evaluated(target, jnp.asarray(start["index"], jnp.int32), jnp.asarray(start["u"], self.dtype))
         lower, upper = (np.asarray(end, self.dtype) for end in self.target.target.domain)
-        done, width = 0, jnp.asarray(upper - lower)
+        done, width, lit = 0, jnp.asarray(upper - lower), state.seen.log_c > -jnp.inf
         for time in times:
             span = jnp.asarray(done), jnp.asarray(time)
             # With all that a chain carries, as in a run: what it carries may be wrong.
             state, points, picked, stale = _advance_library(key, kernel, target, state, span, most, width)
             points = jax.tree.map(np.asarray, points)
-            yield Look(points, drawn(picked), self._wrong(points["index"], np.asarray(stale)))
+            dark = np.asarray(lit).astype(np.int8) - (np.asarray(state.seen.log_c) > -np.inf)
+            yield Look(points, drawn(picked), self._wrong(points["index"], np.asarray(stale)), dark)
             done = time
 
     def _wrong(self, index: np.ndarray, stale: np.ndarray) -> str:

@@ -55,13 +55,19 @@ class Power:
     def gap(self, n: int, grow: int, *, known: bool = False) -> float:
         """The smallest gap that n replicas detect in every coordinate, or in those alone whose CDF is `known`.
 
-        Infinite where no coordinate is ordered.
+        Of a coordinate without an order, the gap is in the probability of a cell. Infinite where no coordinate varies.
         """
         tests = self.headline
         if known:
             tests = [test for test in tests if isinstance(test, OneSample)] or tests
         gaps = [self.detectable(test, n, grow) for test in tests]
         return max((g for g in gaps if g is not None), default=np.inf)
+
+    @property
+    def gap_in(self) -> tuple[str, ...]:
+        """In what the gap of the coordinates' laws is one: "CDF", or where values have no order "cell"."""
+        ordered = {not isinstance(test, OneSample) or test.ordered for test in self.headline}
+        return tuple(what for what, order in (("CDF", True), ("cell", False)) if order in ordered)
 
     def replicas(self, gap: float, grow: int, *, known: bool) -> int:
         """How many show the gap, to 2 %; the more, the smaller the gap."""

@@ -33,7 +33,10 @@ class Result:
     p_value: float
     """Its own, not yet multiplied by the number of tests."""
     gap: float | None
-    """The smallest CDF gap that it shows with the stated probability, at the first stage or the second."""
+    """The smallest CDF gap that it shows with the stated probability, at the first stage or the second.
+
+    Of cells without an order, the smallest difference in the probability of one; None where none is meant.
+    """
     where: list[str] = field(default_factory=list)
     """Where it deviates most."""
     curve: list[float] | None = None
@@ -66,7 +69,10 @@ class Report:
     first_replicas: int
     """Those of the first stage; `verify(..., replicas=this, seed=seed)` does the same again."""
     gap: float
-    """The smallest gap in a coordinate's CDF, of the law after so many steps, that is detected..."""
+    """The smallest gap in a coordinate's CDF, of the law after so many steps, that is detected...
+
+    Of a coordinate whose values have no order, in the probability of one of them.
+    """
     power: float
     """...with at least this probability."""
     moved: float
@@ -86,6 +92,8 @@ class Report:
     """Among how many tests the level is shared."""
     deciding_replicas: int
     """Those that `results` rest on."""
+    gap_in: tuple[str, ...] = ("CDF",)
+    """In what `gap` is one: "CDF", "cell" (its probability), or both, in different coordinates."""
     first_stage: dict[str, float] = field(default_factory=dict)
     """The first stage's p-values by "layer: name after k"; each test's own."""
     results: list[Result] = field(default_factory=list)
@@ -130,7 +138,8 @@ class Report:
 
     def _small_print(self) -> list[str]:
         """What the verdict is worth, and how to get it again."""
-        gap = f"a CDF gap of {self.gap:.2g}" if np.isfinite(self.gap) else "no CDF gap (no statistic is ordered)"
+        kinds = {"CDF": f"a CDF gap of {self.gap:.2g}", "cell": f"an error of {self.gap:.2g} in a cell's probability"}
+        gap = " or ".join(kinds[kind] for kind in self.gap_in) if np.isfinite(self.gap) else "nothing that varies"
         if self.resolution > 1e-3:
             gap += f", looked at every {self.resolution:.2g} of probability,"
         forgotten = f"; bad starts forgotten in {self.forgotten} steps, to {self.forgotten_within:.2g}"

@@ -12,6 +12,8 @@ import numpy as np
 from mcmc1d.numerics import require
 from mcmc1d.parallel import cores
 from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates
+from mcmc1d.verify.ends import varies
+from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.forgetting import point
 from mcmc1d.verify.law import Law, LawError, Position
 from mcmc1d.verify.subject import Look, Subject
@@ -33,8 +35,11 @@ class Tally:
     """Coordinates that no replica has moved, though the law varies in them."""
     wrong: list[str] = field(default_factory=list)
     """States that no kernel may return."""
-    outside: dict[int, int] = field(default_factory=dict)
-    """By steps, how many replicas were outside of the support, in which all of the law's own draws were."""
+    outside: dict[int, np.ndarray] = field(default_factory=dict)
+    """By steps, how many replicas have come to where the law has no probability, and how many have left it.
+
+    That is outside of its support, where none starts, or where its density is zero, where one may start that rounds so.
+    """
     example: str = ""
     """One of them, in words."""
 
@@ -47,8 +52,8 @@ class Tally:
         self.n += other.n
         self.moved += other.moved
         self.wrong += other.wrong
-        for t, count in other.outside.items():
-            self.outside[t] = self.outside.get(t, 0) + count
+        for t, counts in other.outside.items():
+            self.outside[t] = self.outside.get(t, 0) + counts
         self.example = self.example or other.example
 
 
@@ -64,6 +69,8 @@ class Sampler:
     tests: list[Test] = field(default_factory=list)
     slack: np.ndarray | float = 0.0
     """How far beyond a wall of the support each coordinate is still at it; of itself, not of its rounding."""
+    energy: Energy | None = None
+    """The law's log-density, where it has one."""
 
     def words(self, purpose: str, stage: int = 0, chunk: int = 0) -> tuple[int, ...]:
         """What seeds one purpose, and no other: the law's draws and the kernel's steps must share no numbers."""
@@ -169,7 +176,8 @@ class Sampler:
             tally.wrong += self.inspect(start, look, t)
             if tally.wrong:
                 return tally
-            tally.outside[t], example = self.outside(start, look, t)
+            change, example = self.astray(start, look, t)
+            tally.outside[t] = np.array([np.sum(change > 0), np.sum(change < 0)])
             tally.example = tally.example or example
             for k, test in enumerate(self.tests):
                 tally.counts[t, k] = test.count(replicas.at(look))
@@ -177,7 +185,7 @@ class Sampler:
             for name in before:
                 changed[name] |= before[name] != after[name]
         tally.moved = int(np.any(list(changed.values()), axis=0).sum())
-        tally.still = {name for name, change in changed.items() if not change.any() and np.ptp(before[name]) > 0}
+        tally.still = {name for name, change in changed.items() if not change.any() and varies(before[name])}
         return tally
 
     def inspect(self, start: Position, look: Look, t: int) -> list[str]:
@@ -204,14 +212,30 @@ class Sampler:
             require(within, f"the deposits' weights {must}; {found}: give max_weight= their bound")
         return []
 
-    def outside(self, start: Position, look: Look, t: int) -> tuple[int, str]:
-        """How many replicas lie outside of the law's support, and one of them in words."""
-        astray = ~inside(self.law, look.positions, self.slack)
-        if not astray.any():
-            return 0, ""
-        k = int(np.argmax(astray))
+    def outside(self, start: Position, look: Look, t: int, dark: bool = True) -> tuple[int, str]:
+        """How many replicas have come to where the law has no probability, and one of them in words."""
+        change, example = self.astray(start, look, t, dark)
+        return int(np.sum(change > 0)), example
+
+    def astray(self, start: Position, look: Look, t: int, dark: bool = True) -> tuple[np.ndarray, str]:
+        """1 for each replica that has come to where the law has no probability, -1 for one that has left it, else 0.
+
+        And one that has come there in words. `dark`: whether that is where the density is zero, too.
+        """
+        left = ~inside(self.law, look.positions, self.slack)
+        change = np.zeros(len(left), np.int8)
+        if dark and look.dark is not None:
+            change = look.dark
+        elif dark and self.energy is not None:
+            now, before = (self.energy.zero(where) for where in (look.positions, start))
+            change = now.astype(np.int8) - before
+        change = np.where(left, 1, change)
+        if not (change > 0).any():
+            return change, ""
+        k = int(np.argmax(change > 0))
         before, after = coordinates(start), coordinates(look.positions)
-        return int(astray.sum()), f"one within {t} steps from {point(before, k)} to {point(after, k)}"
+        why = "" if left[k] else ", where the density is zero"
+        return change, f"one within {t} steps from {point(before, k)} to {point(after, k)}{why}"
 
     def require_inside(self, draws: Position) -> None:
         """Raise `LawError` unless the law's own draws are in its support."""

@@ -38,6 +38,9 @@ class Look:
     picked: Picked | None = None
     wrong: str = ""
     """What no kernel may leave behind, in words."""
+    dark: np.ndarray | None = None
+    """(n,): 1 where the density is zero and was not at the start, -1 for the reverse, else 0; None if not known here.
+    """
 
 
 class Subject(abc.ABC):
@@ -114,7 +117,7 @@ def head(n: int, look: Look) -> Look:
     picked = look.picked
     if picked is not None:
         picked = Picked(cut(picked.points), picked.none[:n], picked.least, picked.most)
-    return Look(cut(look.positions), picked, look.wrong)
+    return Look(cut(look.positions), picked, look.wrong, cut(look.dark))
 
 
 def joined(looks: Sequence[Look]) -> Look:
@@ -122,12 +125,13 @@ def joined(looks: Sequence[Look]) -> Look:
     positions = jax.tree.map(lambda *parts: np.concatenate(parts), *(look.positions for look in looks))
     picked = [look.picked for look in looks if look.picked is not None]
     wrong = next((look.wrong for look in looks if look.wrong), "")
+    dark = None if looks[0].dark is None else np.concatenate([np.asarray(look.dark) for look in looks])
     if not picked:
-        return Look(positions, wrong=wrong)
+        return Look(positions, wrong=wrong, dark=dark)
     points = jax.tree.map(lambda *parts: np.concatenate(parts), *(p.points for p in picked))
     none = np.concatenate([p.none for p in picked])
     least, most = np.min([p.least for p in picked]), np.max([p.most for p in picked])  # NaN if any is
-    return Look(positions, Picked(points, none, float(least), float(most)), wrong)
+    return Look(positions, Picked(points, none, float(least), float(most)), wrong, dark)
 
 
 def pick(points: Any, weights: Array, uniform: Array, limit: Array) -> tuple[Any, Array, Array, Array]:

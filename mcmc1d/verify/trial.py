@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import jax
 import numpy as np
+from scipy.stats import binom
 
 from mcmc1d.numerics import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
@@ -64,6 +66,7 @@ class Trial:
         subject.check(few)
         if subject.most is not None:
             sampler.max_weight = subject.most
+        sampler.energy = None if sampler.law.log_density is None else Energy(sampler.law)
         look = next(iter(subject.watch(sampler.words("pilot"), 0, few, (1,))))
         self.tests = sampler.tests = design(
             sampler.law,
@@ -72,6 +75,7 @@ class Trial:
             deposits=look if look.picked is not None else None,
             max_weight=sampler.max_weight / subject.total,
             deposited=subject.deposited,
+            energy=sampler.energy,
         )
         if look.picked is not None and not any(test.layer == "deposits" for test in self.tests):
             self.inconclusive.append(
@@ -110,10 +114,8 @@ class Trial:
 
     def _unlikely(self, draws: Position) -> Position:
         """The draws, the least likely first."""
-        if self.sampler.law.log_density is not None:
-            compiled = (test.value for test in self.tests if isinstance(test, TwoSample))
-            energy = next((value for value in compiled if isinstance(value, Energy)), None)
-            values = (energy or Energy(self.sampler.law))(draws)
+        if self.sampler.energy is not None:
+            values = self.sampler.energy(draws)
             require_density(self.sampler.law, draws, values)
             order = np.argsort(values)
         else:
@@ -153,22 +155,25 @@ class Trial:
         (self.inconclusive if few else self.reasons).append(still)
 
     def _leaves(self, tally: Tally) -> None:
-        """Fail for too many replicas outside of the support, in which all of the law's own draws are, or it raises.
+        """Fail for too many replicas where the law has no probability: outside of its support, or of density zero.
 
-        Should the law have a thin tail there all the same, a right kernel's replicas are as often outside as the draws:
-        k of the one and none of the other with a probability of 2^-k at most, whenever one looks. Half of
-        `Scheme.motion` is spent on it, over all numbers of steps and stages.
+        Should the law have a thin tail there all the same (all of its own draws are inside, or it raises; and few may
+        be where the density rounds to zero), a right kernel's replicas come there as often as they leave it: k against
+        none with a probability of 2^-k, whenever one looks. Half of `Scheme.motion` is spent on it, over all numbers of
+        steps and stages.
         """
-        most = max(tally.outside.values(), default=0)
+        most, fewest = max(tally.outside.values(), key=lambda counts: counts[0] - counts[1], default=(0, 0))
         chance = self.scheme.level * self.scheme.motion / 2 / (len(self.sampler.steps) * self.scheme.stages)
-        if most * np.log(2) >= -np.log(chance):
+        if binom.logsf(most - 1, most + fewest, 0.5) <= np.log(chance):
             self.reasons.append(
                 f"{most} of {tally.n} replicas leave the support, {tally.example}; reject such proposals"
             )
 
     def _stray(self, tally: Tally) -> None:
         """Of a few replicas outside of the support, or in no cell of a law, nothing can be concluded."""
-        places = {"outside of the support": max(tally.outside.values(), default=0)}
+        come, left = np.max(list(tally.outside.values()), axis=0, initial=0) if tally.outside else (0, 0)
+        # Where draws of the law are, too, there is nothing to wonder at.
+        places = {"where the law has no probability": 0 if left else int(come)}
         for (t, k), counts in tally.counts.items():
             if t > 0 and isinstance(self.tests[k], OneSample):
                 places[f"in no cell of {self.tests[k].name}"] = int(counts[0][-1])
@@ -245,7 +250,10 @@ class Trial:
         tests = [*own, *partitions(sampler.law, self.unlikely)]
         starts = subject.crowd(points, self.unlikely, n)
         fresh = sampler.draw("forget", 0, 0, n)
-        self.forgotten = forgets(subject, tests, starts, fresh, sampler.words("walk"), sampler.inspect, sampler.outside)
+        # Where draws of the law are, too, there is nothing to wonder at.
+        rounds = any(left for _, left in self.deciding.outside.values())
+        outside = partial(sampler.outside, dark=not rounds)
+        self.forgotten = forgets(subject, tests, starts, fresh, sampler.words("walk"), sampler.inspect, outside)
         self.reasons += self.forgotten.reasons
         self.inconclusive += self.forgotten.doubts
 
@@ -271,7 +279,7 @@ class Trial:
         """The verdict and all that it rests on."""
         bought = self.power.gap(self.n, self.grow)
         limit = SETTLE if gap is None else gap
-        if not self.reasons and limit * (1 + 1e-9) < bought < np.inf:
+        if not self.reasons and limit * (1 + 1e-9) < bought:
             self.inconclusive.append(
                 f"a gap of {limit:g} with probability {self.sure:g} is out of reach: {self.n} replicas detect "
                 f"{bought:.2g}; allow more seconds= or replicas=, or a larger gap="
@@ -318,7 +326,7 @@ class Trial:
                 f"may be further off than this gap; steps=(1, {reached}) looks there"
             )
         return Report(
-            untested=untested + unseen(sampler.law, self.unlikely),
+            untested=untested + unseen(sampler.law, self.unlikely, self.tests),
             name=name,
             kernel=subject.name,
             law=sampler.law.name,
@@ -331,6 +339,7 @@ class Trial:
             replicas=self.replicas,
             first_replicas=self.n,
             gap=bought,
+            gap_in=self.power.gap_in,
             power=self.sure,
             moved=self.deciding.moved / max(self.deciding.n, 1),
             forgotten=self.forgotten.steps,

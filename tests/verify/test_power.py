@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mcmc1d.verify import Discrete
-from mcmc1d.verify.battery import OneSample
+from mcmc1d.verify.battery import OneSample, TwoSample
 from mcmc1d.verify.ledger import Scheme
 from mcmc1d.verify.power import detectable
 
@@ -13,21 +13,22 @@ TEST = OneSample("x", Discrete(lambda x: x, MASSES, ordered=True))
 TESTS, REPLICAS, GROW, RUNS = 30, 20_000, 4, 1500
 
 
-def failures(gap: float, scheme: Scheme) -> float:
+def failures(gap: float, scheme: Scheme, test: OneSample = TEST, runs: int = RUNS) -> float:
     """How often the scheme fails a law that is off by a CDF gap in the middle, where a count varies most.
 
-    The other tests, all right, are left out: they can only add failures.
+    Or, of what has no order, by as much in the probability of the cell nearest to one half. The other tests, all right,
+    are left out: they can only add failures.
     """
     rng, failed = np.random.default_rng(3), 0
-    wrong = MASSES + gap * np.array([0, 0.5, 0.5, -0.5, -0.5])
-    for _ in range(RUNS):
+    wrong = MASSES + gap * (np.array([0, 0.5, 0.5, -0.5, -0.5]) if test.ordered else np.array([0, -0.5, -0.5, 0, 1]))
+    for _ in range(runs):
         decision, stage, n = "more", 0, REPLICAS
         while decision == "more":
             stage, n = stage + 1, n * GROW if stage == 1 else n
             counts = np.append(rng.multinomial(n, wrong), 0)
-            decision = scheme.decide(stage, min(1.0, TESTS * TEST.p_value((counts,))))
+            decision = scheme.decide(stage, min(1.0, TESTS * test.p_value((counts,))))
         failed += decision == "fail"
-    return failed / RUNS
+    return failed / runs
 
 
 def test_the_stated_gap_is_detected_with_the_stated_power():
@@ -47,6 +48,12 @@ def test_the_second_stage_is_worth_a_quarter_of_the_gap():
     assert detectable(TEST, Scheme(), TESTS, REPLICAS, 1, 0.99) == at_once
 
 
-def test_what_has_no_order_has_no_gap():
+def test_of_what_has_no_order_the_gap_is_in_the_probability_of_a_cell():
+    """Of fresh draws, whose cells' probabilities are not known, there is none."""
     test = OneSample("x", Discrete(lambda x: x, MASSES))
-    assert detectable(test, Scheme(), TESTS, REPLICAS, GROW, 0.99) is None
+    gap = detectable(test, Scheme(), TESTS, REPLICAS, GROW, 0.99)
+    assert gap is not None
+    assert failures(gap, Scheme(), test, 300) >= 0.95
+    assert failures(gap / 2, Scheme(), test, 300) < 0.9
+    compared = TwoSample("x", None, np.arange(4) + 0.5, ordered=False)
+    assert detectable(compared, Scheme(), TESTS, REPLICAS, GROW, 0.99) is None
