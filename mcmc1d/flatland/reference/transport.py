@@ -34,9 +34,12 @@ from mcmc1d.flatland.scene import Pinhole, Scene, Wall, require_scene
 from mcmc1d.numerics import require
 
 SMALL = Resolution()
-"""For scenes of a few segments, of Lambert's lobe and mirrors: 1e-6 of the mean, or better."""
+"""For scenes of a few segments, of Lambert's lobe and mirrors: 1e-6 of the mean, or better; 1e-3 after many mirrors."""
 GLOSSY = Resolution(order=7, points=9, smallest=1e-3, lobe=2.0)
-"""For a few segments, of which some are glossy: 1e-3 of the mean; 1e-2 and more after walls that are glossy both."""
+"""For a few segments, of which some are glossy: 1.5e-3 of the mean, at low exponents too.
+
+More where light goes to and fro between glossy walls: two in a corner 1e-2 by four edges, 0.15 by five.
+"""
 LARGE = Resolution(order=4, points=4, largest=1.0, longest=0.025, shadows=False)
 """For scenes of hundreds of segments: even panels, not cut at shadow lines; 1e-2 of the mean or so.
 
