@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mcmc1d.flatland.plane import distance
-from mcmc1d.flatland.reference.rays import Geometry, Rays, direction, dot, expand, fan, trace
-from mcmc1d.flatland.scene import Scene, Wall
+from mcmc1d.flatland.reference.rays import Geometry, Rays, dot, expand, place
+from mcmc1d.flatland.reference.shadows import ShadowLines
+from mcmc1d.flatland.scene import Scene, Segment
 
-# The most shadow lines that a segment is cut at on account of mirrors.
-_KINKS = 40
+# A segment is cut at so many shadow lines by way of mirrors at most, and by way of so many mirrors: else the mesh has
+# no end. What light the nodes miss between the others stands in the errors (`Unseen`).
+_KINKS, _DEEP = 40, 4
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,6 @@ class Mesh:
     low: np.ndarray
     high: np.ndarray
     order: int
-    active: np.ndarray
-    """Whether what arrives here matters."""
 
     @property
     def local(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -108,70 +107,55 @@ def legendre(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return nodes, weights, (n[:, None] + 0.5) * weights * np.polynomial.legendre.legvander(nodes, order - 1).T
 
 
-def make_mesh(scene: Scene, geometry: Geometry, resolution: Resolution, depth: int, steepest: int) -> Mesh:
-    """The panels of a scene; mirrors are looked through `depth` times, `steepest` is the largest glossy exponent or 0.
+def make_mesh(
+    scene: Scene, geometry: Geometry, resolution: Resolution, lines: ShadowLines | None, steepest: int
+) -> Mesh:
+    """The panels of a scene, cut at its shadow lines; `steepest` is the largest glossy exponent or 0.
 
     A lobe of exponent n shows another segment's end at distance d over about d / sqrt(n): the grading follows.
     """
-    active = [s.material.lambert > 0 or s.material.glossy > 0 for s in scene.segments]
-    wall = scene.sensor_segment
-    if wall is not None:
-        active[wall] = True
-    none = [np.zeros(0)] * len(active)
-    direct, kinks = _shadow_places(scene, geometry, min(depth, 4)) if resolution.shadows else (none, none)
+    direct, kinks = shadow_cuts(geometry, resolution, lines)
     grading = resolution.grading * min(1.0, 2 / np.sqrt(max(steepest, 1)))
     rows = []
-    for k, alive in enumerate(active):
-        length = geometry.length[k]
-        cuts = np.array([0.0, length])
-        if k == wall and isinstance(scene.sensor, Wall):
-            cuts = np.linspace(0, length, scene.sensor.pixels + 1)
-        if alive:
-            inner = kinks[k][(kinks[k] > 0) & (kinks[k] < length)]
-            cuts = _apart(cuts, inner, 1e-9 * length)
-            cuts = _graded(geometry, k, cuts, direct, resolution, grading)
-        parts, whole = resolution.parts, np.arange(len(cuts))
-        cuts = np.interp(np.arange(parts * whole[-1] + 1) / parts, whole, cuts)
-        rows.append((np.full(len(cuts) - 1, k), cuts[:-1], cuts[1:], np.full(len(cuts) - 1, alive)))
-    segment, low, high, on = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return Mesh(segment, low, high, resolution.order, on)
+    for k, segment in enumerate(scene.segments):
+        cuts = np.array([0.0, geometry.length[k]])
+        if scatters(segment):
+            if k == scene.sensor_segment:
+                cuts = np.linspace(0, geometry.length[k], scene.sensor.pixels + 1)
+            cuts = apart(cuts, kinks[k], 1e-9 * geometry.length[k])
+            cuts = graded(geometry, k, cuts, direct, resolution, grading)
+        cuts = in_parts(cuts, resolution.parts)
+        rows.append((np.full(len(cuts) - 1, k), cuts[:-1], cuts[1:]))
+    return Mesh(*(np.concatenate(column) for column in zip(*rows, strict=True)), order=resolution.order)
 
 
-def _shadow_places(scene: Scene, geometry: Geometry, depth: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """For each segment, the places where another segment's end is seen to cover, or to touch, an end.
+def scatters(segment: Segment) -> bool:
+    """Whether it has a lobe that is no mirror."""
+    return segment.material.lambert > 0 or segment.material.glossy > 0
 
-    Each end sees intervals of angles; their limits, on what is hit, are those places: seen from there, the limit's
-    end lies in front of the end that looked. First those seen directly, then all: through mirrors too, of which there
-    may be any number, so only as many mirrors in a row are looked through as leave a segment at most `_KINKS`.
-    """
-    ends = np.unique(scene.ends.reshape(-1, 2), axis=0)
-    tiny = 1e-9 * geometry.extent
-    holds = np.array([[distance(p, pair) < tiny for pair in scene.ends] for p in ends])
-    slanted = np.array([np.cos(0.3743), np.sin(0.3743)])  # no wall is likely to lie along the half-planes' limit
-    found = []
-    for normal in (slanted, -slanted):
-        row = np.arange(len(ends))
-        rays = fan(row, ends, np.broadcast_to(normal, ends.shape).copy(), np.full(len(ends), -1), np.pi / 2)
-        seen, _ = trace(geometry, rays, depth, skip=holds, edge_on=True)
-        for angle in (seen.low, seen.high):
-            limit = np.abs(angle) < np.pi / 2 - 1e-9
-            found.append((seen.segment[limit], seen.bounces[limit], place(geometry, seen, angle)[limit]))
-    segment, bounces, s = (np.concatenate(column) for column in zip(*found, strict=True))
+
+def shadow_cuts(
+    geometry: Geometry, resolution: Resolution, lines: ShadowLines | None
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """For each segment, the shadow lines of what is seen directly, and all those that it is cut at."""
+    if lines is None or not resolution.shadows:
+        none = [np.zeros(0)] * len(geometry.length)
+        return none, none
     direct, every = [], []
-    for k, length in enumerate(geometry.length):
-        upto = [_distinct(s[(segment == k) & (bounces <= d)], 1e-9 * length) for d in range(depth + 1)]
+    for k in range(len(geometry.length)):
+        upto = [lines.on(k, d) for d in range(min(lines.depth, _DEEP) + 1)]
         direct.append(upto[0])
         every.append(max((p for p in upto if len(p) <= _KINKS), key=len, default=upto[0]))
     return direct, every
 
 
-def _distinct(values: np.ndarray, tiny: float) -> np.ndarray:
-    """The values, sorted, without those that are copies but for rounding."""
-    values = np.sort(values)
-    return values[np.diff(values, prepend=-np.inf) > tiny]
+def in_parts(cuts: np.ndarray, parts: int) -> np.ndarray:
+    """Each interval in so many equal parts."""
+    whole = np.arange(len(cuts))
+    return np.interp(np.arange(parts * whole[-1] + 1) / parts, whole, cuts)
 
 
-def _apart(cuts: np.ndarray, more: np.ndarray, tiny: float) -> np.ndarray:
+def apart(cuts: np.ndarray, more: np.ndarray, tiny: float) -> np.ndarray:
     """`cuts`, and those of `more` that are no copies."""
     both = np.sort(np.concatenate([cuts, more]))
     both = both[np.concatenate([[True], np.diff(both) > tiny])]
@@ -179,7 +163,7 @@ def _apart(cuts: np.ndarray, more: np.ndarray, tiny: float) -> np.ndarray:
     return both
 
 
-def _graded(
+def graded(
     geometry: Geometry, k: int, cuts: np.ndarray, kinks: list[np.ndarray], resolution: Resolution, grading: float
 ) -> np.ndarray:
     """The cuts of segment k, refined towards what lies near: ends of other segments, and shadow lines on them."""
@@ -195,7 +179,7 @@ def _graded(
     touching = along[np.abs(height) <= tiny]
     seen = height >= -tiny if resolution.shadows else np.zeros(len(offset), bool)
     height, along = height[seen], along[seen]
-    cuts = _apart(cuts, touching[(touching > tiny) & (touching < geometry.length[k] - tiny)], tiny)
+    cuts = apart(cuts, touching[(touching > tiny) & (touching < geometry.length[k] - tiny)], tiny)
     todo, done = list(itertools.pairwise(cuts)), [cuts[0]]
     while todo:
         a, b = todo.pop(0)
@@ -215,16 +199,6 @@ def _graded(
             continue
         todo[:0] = [(a, middle), (middle, b)]
     return np.array(done)
-
-
-def place(geometry: Geometry, found: Rays, angle: np.ndarray) -> np.ndarray:
-    """How far along the hit segments the rays at the angles arrive: (N,), within the segments."""
-    along = direction(found, angle)
-    k = found.segment
-    offset = found.origin - geometry.start[k]
-    down = np.maximum(-dot(along, geometry.normal[k]), 1e-300)
-    s = dot(offset, geometry.tangent[k]) + dot(offset, geometry.normal[k]) * dot(along, geometry.tangent[k]) / down
-    return np.clip(s, 0, geometry.length[k])
 
 
 def quadrature(
@@ -291,4 +265,16 @@ def _split(piece, panel, low, high, at, wanted):
     return piece[part], panel[part], np.where(whole, low[part], lower), np.where(whole, high[part], upper)
 
 
-__all__ = ["Mesh", "Points", "Resolution", "legendre", "make_mesh", "place", "quadrature"]
+__all__ = [
+    "Mesh",
+    "Points",
+    "Resolution",
+    "apart",
+    "graded",
+    "in_parts",
+    "legendre",
+    "make_mesh",
+    "quadrature",
+    "scatters",
+    "shadow_cuts",
+]

@@ -72,6 +72,12 @@ class Gather:
         total = self.emission[bounces] @ emission + self.diffuse[bounces] @ diffuse
         return total if glossy is None else total + self.glossy[bounces] @ glossy
 
+    def plus(self, matrix: csr_array, other: "Gather") -> "Gather":
+        """What arrives here, and a `matrix` of what arrives there, whose rows weigh 1 each at most."""
+        kinds = ((self.emission, other.emission), (self.diffuse, other.diffuse), (self.glossy, other.glossy))
+        sums = [[a + matrix @ b for a, b in zip(*both, strict=True)] for both in kinds]
+        return Gather(*sums, missed=self.missed + other.missed)
+
 
 def gather(sources: Sources, rays: Rays, rows: int, depth: int, points: int, measure: Measure, cuts=None) -> Gather:
     """The operator of rows 0 .. rows - 1, whose rays are given; cut at the angles `cuts` too."""
@@ -81,7 +87,7 @@ def gather(sources: Sources, rays: Rays, rows: int, depth: int, points: int, mea
         found, onward = trace(sources.geometry, rays[first : first + batch], depth, cuts)
         parts.emission(found, measure.integral(found.low, found.high) * found.weight)
         np.add.at(missed, onward.row, measure.integral(onward.low, onward.high) * onward.weight)
-        found = found[_sends(sources)[found.segment]]
+        found = found[sends(sources)[found.segment]]
         seen = quadrature(sources.geometry, sources.mesh, found, points, *_edges(sources))
         parts.sent(seen, seen.weight * measure.density(seen.cosine))
     return parts.gather(float(missed.max(initial=0)))
@@ -213,7 +219,7 @@ def _batches(wanted: np.ndarray, size: int) -> list[np.ndarray]:
     return [index[i : i + step] for i in range(0, len(index), step)]
 
 
-def _sends(sources: Sources) -> np.ndarray:
+def sends(sources: Sources) -> np.ndarray:
     """The segments of which nodes are seen."""
     return (sources.lambert > 0) | (sources.glossy > 0)
 
@@ -223,4 +229,4 @@ def _edges(sources: Sources) -> tuple[np.ndarray | None, np.ndarray]:
     return None if sources.directions is None else sources.directions.edges, sources.glossy > 0
 
 
-__all__ = ["FILM", "IRRADIANCE", "Gather", "Measure", "Sources", "TooLargeError", "gather", "incoming"]
+__all__ = ["FILM", "IRRADIANCE", "Gather", "Measure", "Sources", "TooLargeError", "gather", "incoming", "sends"]

@@ -188,6 +188,16 @@ def direction(rays: Rays, angle: np.ndarray) -> np.ndarray:
     return np.cos(angle)[:, None] * rays.normal + np.sin(angle)[:, None] * rays.tangent
 
 
+def place(geometry: Geometry, found: Rays, angle: np.ndarray) -> np.ndarray:
+    """How far along the hit segments the rays at the angles arrive: (N,), within the segments."""
+    along = direction(found, angle)
+    k = found.segment
+    offset = found.origin - geometry.start[k]
+    down = np.maximum(-dot(along, geometry.normal[k]), 1e-300)
+    s = dot(offset, geometry.tangent[k]) + dot(offset, geometry.normal[k]) * dot(along, geometry.tangent[k]) / down
+    return np.clip(s, 0, geometry.length[k])
+
+
 def expand(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For counts c_0, c_1, ...: the indices 0 (c_0 times), 1 (c_1 times), ... and the steps 0 .. c - 1 in each."""
     index = np.repeat(np.arange(len(count)), count)
@@ -234,4 +244,4 @@ def _reflected(geometry: Geometry, found: Rays) -> Rays:
     )
 
 
-__all__ = ["TINY", "Geometry", "Rays", "direction", "dot", "expand", "fan", "hits", "left", "reach", "trace"]
+__all__ = ["TINY", "Geometry", "Rays", "direction", "dot", "expand", "fan", "hits", "left", "place", "reach", "trace"]
