@@ -280,9 +280,9 @@ def unseen(law: Law, draws: Position, tests: Sequence[Test]) -> list[str]:
             "whether log_prob is the density of what the techniques make: of x no exact value is known, and the law's "
             "own draws believe it too; check_technique tells"
         ]
-    unheld += _blurred(draws, tests) + _within_cells(law, names, coordinates(draws), tests)
+    finer = _blurred(draws, tests) + _within_cells(law, names, coordinates(draws), tests)
     if len(names) <= 3:
-        return unheld
+        return unheld + finer
     least = "four" if len(names) <= _TRIPLES else "three"
     at_once = "all" if len(names) <= _ORTHANTS else f"{_ORTHANTS} neighbours"
     left = len(names) * (len(names) - 1) // 2 - len(_pairs(names))
@@ -290,6 +290,7 @@ def unseen(law: Law, draws: Position, tests: Sequence[Test]) -> list[str]:
     return [
         *unheld,
         f"what {least} coordinates show together, but for {at_once} at once below or above their medians{pairs}",
+        *finer,
     ]
 
 

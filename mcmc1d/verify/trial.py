@@ -173,7 +173,7 @@ class Trial:
         """Of a few replicas outside of the support, or in no cell of a law, nothing can be concluded."""
         come, left = np.max(list(tally.outside.values()), axis=0, initial=0) if tally.outside else (0, 0)
         # Where draws of the law are, too, there is nothing to wonder at.
-        places = {"where the law has no probability": 0 if left else int(come)}
+        places = {"outside of the support": 0 if left else int(come)}
         for (t, k), counts in tally.counts.items():
             if t > 0 and isinstance(self.tests[k], OneSample):
                 places[f"in no cell of {self.tests[k].name}"] = int(counts[0][-1])
