@@ -34,10 +34,10 @@ from experiments.support.flatland_table1_draw import draw_table1, table1
 from experiments.support.framework import Claim, chosen
 from experiments.support.stage_methods import BRIGHT, METHODS, PAPER
 from experiments.support.sweep import Sweep
+from mcmc1d.checks import require
 from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
-from mcmc1d.numerics import require
 from mcmc1d.perception import density_statistics, error, visual_error
 from mcmc1d.weights import Power
 

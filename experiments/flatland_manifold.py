@@ -24,6 +24,7 @@ from experiments.support.flatland_chains import close, films_unsaved
 from experiments.support.flatland_manifold_results import claims, figure
 from experiments.support.framework import chosen
 from experiments.support.sweep import Sweep
+from mcmc1d.checks import require
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import MLT, BidirectionalPathTracing
 from mcmc1d.flatland.mutants.mutations import TakenForSymmetric
@@ -32,7 +33,6 @@ from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import catalogue, scene
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange, TechniqueChange
-from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
 
 

@@ -26,8 +26,8 @@ from experiments.support.flatland_chains import METHODS
 from experiments.support.flatland_stability import STATISTICS, compared, converge, stability_claims
 from experiments.support.framework import Claim, chosen
 from experiments.support.sweep import Sweep
+from mcmc1d.checks import require
 from mcmc1d.flatland.scenes import catalogue
-from mcmc1d.numerics import require
 
 
 @dataclass(frozen=True)

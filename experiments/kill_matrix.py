@@ -13,8 +13,8 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
+from mcmc1d.checks import require
 from mcmc1d.moves import Mixture, Move, ReversibleJump, SmallStep
-from mcmc1d.numerics import require
 from mcmc1d.targets import GaussianMixture
 from mcmc1d.techniques import Technique, Tent
 from mcmc1d.verify import (

@@ -12,12 +12,12 @@ import numpy as np
 
 from mcmc1d import parallel
 from mcmc1d.checkpoint import Place, Saving, describe
-from mcmc1d.checks import require_dtype, require_key, require_whole
+from mcmc1d.checks import require, require_dtype, require_key, require_whole
 from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator, added, empty, require_estimators
 from mcmc1d.metropolis import Kernel, as_kernel, step_batch
 from mcmc1d.moves import Move
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.random import Source, source
 from mcmc1d.starts import begin, require_defined, require_multiplexed
 from mcmc1d.state import Multiplexed, State

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.state import State
 
 _MAGIC = b"mcmc1d checkpoint 1"

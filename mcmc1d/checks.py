@@ -1,4 +1,4 @@
-"""Checks of what a user gives, which say what is wrong with it: instances, boxes, densities in tables, edges."""
+"""Checks of what a user gives, which say what is wrong with it: numbers, instances, boxes, tables of densities."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,10 +10,27 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.numerics import is_concrete, require
+from mcmc1d.numerics import is_concrete
 from mcmc1d.types import Float, Real
 
 T = TypeVar("T")
+
+
+def require(condition: bool | np.bool_ | jax.Array, message: str) -> None:
+    """Raise `ValueError(message)` unless the condition holds."""
+    if not condition:
+        raise ValueError(message)
+
+
+def require_positive(owner: object, **values: Any) -> None:
+    """Raise `ValueError` unless each named parameter is positive and finite (traced ones are let through)."""
+    for name, value in values.items():
+        if is_concrete(value):
+            array = np.asarray(value)
+            require(
+                bool(np.all(np.isfinite(array) & (array > 0))),
+                f"{type(owner).__name__}: {name} must be positive and finite, not {value}",
+            )
 
 
 def require_instance(value: Any, kind: type[T], who: str, fix: str = "") -> T:

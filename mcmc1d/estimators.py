@@ -10,10 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_cover, require_instance, rising
+from mcmc1d.checks import require, require_cover, require_instance, rising
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposits, Kernel, Step
-from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Float, Scalar
 

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.estimators import Estimator
 from mcmc1d.examples import Examples
 from mcmc1d.importance import require_importance, require_sampled
 from mcmc1d.metropolis import Kernel, Step
-from mcmc1d.numerics import is_concrete, require
+from mcmc1d.numerics import is_concrete
 from mcmc1d.pixels import Pixels
 from mcmc1d.state import Multiplexed
 from mcmc1d.targets import Target

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance, require_positive
 from mcmc1d.compiling import quickly
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import cast, is_concrete, parameter, require, require_positive
+from mcmc1d.numerics import cast, is_concrete, parameter
 from mcmc1d.pixels import Pixels, masses
 from mcmc1d.quadrature import Outline, integrate, midpoints
 from mcmc1d.targets import DensityOf, Target

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_key, require_whole
+from mcmc1d.checks import require, require_key, require_positive, require_whole
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Proposal
-from mcmc1d.numerics import is_concrete, normal_quantile, parameter, require, require_positive, wrap
+from mcmc1d.numerics import is_concrete, normal_quantile, parameter, wrap
 from mcmc1d.state import Eval, State
 from mcmc1d.types import Array, Bool, Float, Index, Int, Key, Scalar
 

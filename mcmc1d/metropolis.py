@@ -10,9 +10,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.moves import Move, Proposal
-from mcmc1d.numerics import require, select
+from mcmc1d.numerics import select
 from mcmc1d.random import SOURCES, Source
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Key, Scalar

@@ -4,7 +4,6 @@ import functools
 from collections.abc import Sequence
 from typing import Any, TypeAlias, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -185,14 +184,6 @@ def ends_of(shares: Float[Array, " n"]) -> Float[Array, " n+1"]:
     return jnp.concatenate([jnp.zeros(1, sums.dtype), sums[:-1] / sums[-1], jnp.ones(1, sums.dtype)])
 
 
-def r_sequence(count: int, d: int) -> np.ndarray:
-    """The first points of a low-discrepancy sequence in the unit cube, (count, d): Roberts 2018, "R_d"."""
-    root = 2.0
-    for _ in range(64):
-        root = (1 + root) ** (1 / (d + 1))
-    return np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, d + 1) % 1
-
-
 def width(ends: Ends, k: Index) -> Scalar:
     """The length of interval `k`."""
     return entry(ends[1:], k) - entry(ends[:-1], k)
@@ -327,23 +318,3 @@ def linear_quantile(left: Scalar, right: Scalar, place: Scalar) -> Scalar:
 def linear_cdf(left: Scalar, right: Scalar, t: Scalar) -> Scalar:
     """The inverse of `linear_quantile`."""
     return t * (left * (2 - t) + right * t) / (left + right)
-
-
-# --- checks of what a user gives ------------------------------------------------------------------------------------
-
-
-def require(condition: bool, message: str) -> None:
-    """Raise `ValueError(message)` unless the condition holds."""
-    if not condition:
-        raise ValueError(message)
-
-
-def require_positive(owner: eqx.Module, **values: Any) -> None:
-    """Raise `ValueError` unless each named parameter is positive and finite (traced ones are let through)."""
-    for name, value in values.items():
-        if is_concrete(value):
-            array = np.asarray(value)
-            require(
-                bool(np.all(np.isfinite(array) & (array > 0))),
-                f"{type(owner).__name__}: {name} must be positive and finite, not {value}",
-            )

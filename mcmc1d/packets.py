@@ -6,13 +6,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposits, Info, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, MultipleTry, Proposal, SmallStep
 from mcmc1d.moves.candidates import insert
 from mcmc1d.moves.multiple_try import around, possible, row
-from mcmc1d.numerics import choose, ends_of, require
+from mcmc1d.numerics import choose, ends_of
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 

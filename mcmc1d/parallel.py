@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checkpoint import Place, Saving, decode, encode, kept
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 
 T = TypeVar("T")
 Advance = Callable[[int, Any, Place, int], Place]

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.pixels import resample
 
 EXPOSURE = 50.0

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_whole, rising
+from mcmc1d.checks import require, require_whole, rising
 from mcmc1d.compiling import quickly
-from mcmc1d.numerics import cast, require, stratum
+from mcmc1d.numerics import cast, stratum
 from mcmc1d.targets import DensityOf, Target
 from mcmc1d.types import Array, Float, Index
 

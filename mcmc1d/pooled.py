@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance, rising
+from mcmc1d.checks import require, require_instance, rising
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, SmallStep
-from mcmc1d.numerics import cast, require, select, stratum
+from mcmc1d.numerics import cast, select, stratum
 from mcmc1d.quadrature import integrate
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import DensityOf, Target

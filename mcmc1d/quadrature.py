@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import cubature
 
-from mcmc1d.checks import rising
+from mcmc1d.checks import require, rising
 from mcmc1d.compiling import quickly
-from mcmc1d.numerics import cast, r_sequence, require
+from mcmc1d.numerics import cast
 from mcmc1d.types import Array, Float
 
 
@@ -135,6 +135,14 @@ def midpoints(lower: np.ndarray, upper: np.ndarray, count: int) -> np.ndarray:
     side = max(2, round(count ** (1 / lower.size)))
     grid = np.array(list(itertools.product((np.arange(side) + 0.5) / side, repeat=lower.size)))
     return lower + (upper - lower) * grid
+
+
+def r_sequence(count: int, d: int) -> np.ndarray:
+    """The first points of a low-discrepancy sequence in the unit cube, (count, d): Roberts 2018, "R_d"."""
+    root = 2.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (d + 1))
+    return np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, d + 1) % 1
 
 
 # --- the plane ------------------------------------------------------------------------------------------------------

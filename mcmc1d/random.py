@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.random import threefry_2x32
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.types import Array, Float, Int, Key, UInt32
 
 # Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3": Threefry-2x32, as in JAX.

@@ -5,12 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_key, require_whole
+from mcmc1d.checks import require, require_key, require_whole
 from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image, film_row
 from mcmc1d.metropolis import Kernel, as_kernel, step_batch
 from mcmc1d.moves import Move
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.rendering import Rendered, Scene
 from mcmc1d.starts import uniform_states

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_key, require_whole
+from mcmc1d.checks import require, require_key, require_whole
 from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image
 from mcmc1d.importance import Product, Regions, require_importance
 from mcmc1d.metropolis import Kernel, as_kernel, step_batch
 from mcmc1d.moves import Move
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.pixels import Pixels, masses, resample
 from mcmc1d.quadrature import midpoints
 from mcmc1d.random import uniforms

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, OfMove, Step, accept
 from mcmc1d.moves import Move
 from mcmc1d.moves.exchange import Exchange
-from mcmc1d.numerics import is_concrete, parameter, require
+from mcmc1d.numerics import is_concrete, parameter
 from mcmc1d.pooled import Floored
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Target

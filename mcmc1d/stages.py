@@ -5,9 +5,8 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_positive, require_whole
 from mcmc1d.image import Film
-from mcmc1d.numerics import require, require_positive
 from mcmc1d.perception import noise_target
 from mcmc1d.pixels import Pixels, resample
 

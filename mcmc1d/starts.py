@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_dtype, require_instance, require_key, require_whole
+from mcmc1d.checks import require, require_dtype, require_instance, require_key, require_whole
 from mcmc1d.compiling import quickly
-from mcmc1d.numerics import below_one, cast, require, stratum
+from mcmc1d.numerics import below_one, cast, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Key

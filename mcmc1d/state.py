@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_cover, require_instance, require_mass, require_planar_cover, rising, traced
+from mcmc1d.checks import require, require_cover, require_instance, require_mass, require_planar_cover, rising, traced
 from mcmc1d.compiling import quickly
-from mcmc1d.numerics import cast, is_concrete, require
+from mcmc1d.numerics import cast, is_concrete
 from mcmc1d.quadrature import Outline, integrate, integrate_plane
 from mcmc1d.targets import DensityOf, Target
 from mcmc1d.targets.base import Edges, pair_of_edges

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, parameter, require
+from mcmc1d.numerics import is_concrete, parameter
 from mcmc1d.state import Multiplexed
 from mcmc1d.targets import Target
 from mcmc1d.targets.base import edges_of_each

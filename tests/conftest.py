@@ -27,7 +27,7 @@ numpy.typing.ArrayLike = numpy.typing.ArrayLike | Sequence
 
 # Every shape that the library annotates is checked at run time; the library must not have been imported before. Not
 # yet in these modules, whose annotations are narrower than what they take:
-#   numerics: `require` takes NumPy's bool, `normal_quantile` arrays, and "n+1" in an argument can not be checked;
+#   numerics: `normal_quantile` takes arrays, and "n+1" in an argument can not be checked;
 #   quadrature: `midpoints` takes scalars;  state: a batch of states is a `State` as well.
 _UNCHECKED = {"__init__", "__pycache__", "numerics", "quadrature", "state"}
 _MODULES = [f"mcmc1d.{path.stem}" for path in sorted((_ROOT / "mcmc1d").iterdir()) if path.stem not in _UNCHECKED]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp, ndtri
 
-from mcmc1d import numerics
+from mcmc1d import checks, numerics
 
 DTYPES = (np.float32, np.float64)
 
@@ -203,4 +203,4 @@ def test_cast_changes_floats_alone(dtype):
 @pytest.mark.parametrize("bad", [0, -1, np.nan, np.inf, [1, 0]])
 def test_require_positive_names_the_parameter(bad):
     with pytest.raises(ValueError, match="object: sigma must be positive and finite"):
-        numerics.require_positive(object(), sigma=bad)
+        checks.require_positive(object(), sigma=bad)

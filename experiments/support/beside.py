@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextvars import copy_context
 from typing import Any
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 
 # The process pins itself: to have it done between fork and exec is not safe beside JAX's threads.
 _PINNED = """

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.plane import cross
 from mcmc1d.flatland.scene import Material, Pinhole, Scene
 from mcmc1d.flatland.scenes import scene
-from mcmc1d.numerics import require
 
 GLOSSY_DOOR = "glossy_door"
 _GLOSSY = (((3.0, 3.0), (0.0, 3.0)), ((3.2, 0.0), (6.2, 0.0)))

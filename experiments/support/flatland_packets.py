@@ -5,6 +5,7 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 
+from mcmc1d.checks import require_positive
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.paths import Light
@@ -12,7 +13,7 @@ from mcmc1d.metropolis import Kernel, Metropolis, Step
 from mcmc1d.moves import LargeStep, Mixture, Move, MultipleTry, Proposal, SmallStep, Stratified
 from mcmc1d.moves.base import around_the_ends
 from mcmc1d.moves.multiple_try import around, row
-from mcmc1d.numerics import below_one, normal_quantile, parameter, require_positive, stratum
+from mcmc1d.numerics import below_one, normal_quantile, parameter, stratum
 from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar

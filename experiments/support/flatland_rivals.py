@@ -11,13 +11,14 @@ import numpy as np
 from scipy.stats import sem
 
 from experiments.support.flatland_chains import METHODS, Lit, Placed, Usage, close, films, multiplexed_kernel
+from mcmc1d.checks import require
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import MLT, Sums
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT
 from mcmc1d.flatland.sampling import bootstrap
 from mcmc1d.metropolis import Kernel
-from mcmc1d.numerics import cast, require, stratum
+from mcmc1d.numerics import cast, stratum
 from mcmc1d.random import uniforms
 from mcmc1d.starts import exact_start
 from mcmc1d.state import Multiplexed, State

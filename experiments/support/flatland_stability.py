@@ -14,11 +14,11 @@ from experiments.support.flatland_chains import METHODS, films, mixed_kernel, mi
 from experiments.support.framework import Claim
 from experiments.support.intervals import under
 from experiments.support.verdict import among, verdict
+from mcmc1d.checks import require
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import RJMLT
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import catalogue, scene
-from mcmc1d.numerics import require
 
 LEVEL = 0.01
 """Of each claim, all scenes of the catalogue and looks together, however many are run."""

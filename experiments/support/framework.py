@@ -20,7 +20,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import experiments
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 
 PACKAGES = ("mcmc1d", "jax", "jaxlib", "equinox", "numpy", "scipy", "matplotlib", "emcee", "xarray")
 STYLE = Path(__file__).with_name("paper.mplstyle")

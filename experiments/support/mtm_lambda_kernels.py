@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import mcmc1d
+from mcmc1d.checks import require
 from mcmc1d.moves import Antithetic, Move, MultipleTry, Rotated, Stratified
 from mcmc1d.moves.candidates import Candidates, Reverse, insert
 from mcmc1d.moves.multiple_try import SymmetricLambda, by_importance, evenly
-from mcmc1d.numerics import require
 from mcmc1d.types import Index
 from mcmc1d.verify import RingStep
 from mcmc1d.verify.mutants.base import WrongMove

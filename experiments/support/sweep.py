@@ -16,7 +16,7 @@ import jax
 
 from experiments.support.cluster import on_cluster
 from experiments.support.long import Show, at
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "mcmc1d" / "jax"
 """Where compiled code is kept."""

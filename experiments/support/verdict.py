@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.verify import Verdict
 
 

@@ -10,13 +10,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.bidirectional import Bidirectional, Joined
 from mcmc1d.flatland.evaluation import reads
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Scene
-from mcmc1d.numerics import pick, require
+from mcmc1d.numerics import pick
 from mcmc1d.targets import Target
 from mcmc1d.techniques import Family, Technique
 from mcmc1d.techniques.base import Forward, Inverse

@@ -15,14 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.evaluation import evaluate, reads
 from mcmc1d.flatland.geometry import Vector, Walls
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Geometry, Light, LightTimes, Paths, lamps, on_a_lamp
 from mcmc1d.flatland.scattering import Local, lambert_direction, lambert_number, local, scatter, unscatter
-from mcmc1d.numerics import below_one, between, cast, pick, require
+from mcmc1d.numerics import below_one, between, cast, pick
 from mcmc1d.techniques import Family, Technique
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.family import apart

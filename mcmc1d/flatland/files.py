@@ -43,6 +43,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.scene import Material, Pinhole, Scene, Segment, Wall
 from mcmc1d.flatland.schema import (
     FLAG,
@@ -61,7 +62,6 @@ from mcmc1d.flatland.schema import (
     text_of,
 )
 from mcmc1d.flatland.toml_text import basic_string, parse
-from mcmc1d.numerics import require
 from mcmc1d.whole import write_whole
 
 _TOP: Schema = {

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import Run
-from mcmc1d.checks import require_instance, require_key, require_whole
+from mcmc1d.checks import require, require_instance, require_key, require_whole
 from mcmc1d.estimators import Estimator, add_deposits
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.sampling import exposed
 from mcmc1d.metropolis import Kernel, Step
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.starts import Normalisation
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Float, Key

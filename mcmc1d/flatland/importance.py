@@ -6,12 +6,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance, require_positive
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Light, LightTimes, Paths
 from mcmc1d.flatland.scene import Scene
-from mcmc1d.numerics import is_concrete, parameter, require, require_positive
+from mcmc1d.numerics import is_concrete, parameter
 from mcmc1d.types import Array, Bool, Float, Real, Scalar
 
 

@@ -15,13 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.geometry import Vector, Walls, where
 from mcmc1d.flatland.scattering import Local, brdf, local, log_density
 from mcmc1d.flatland.scene import Scene, require_scene
 from mcmc1d.flatland.sensors import Sensor, sensor_of
-from mcmc1d.numerics import choose, limit, require, stratum
+from mcmc1d.numerics import choose, limit, stratum
 from mcmc1d.targets import Target
 from mcmc1d.types import Array, Bool, Corners, Float, Index, Int, Real, Scalar
 

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.flatland.plane import crossing, distance, gaps, near
-from mcmc1d.numerics import require
 
 Point = tuple[float, float]
 

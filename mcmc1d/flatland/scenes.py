@@ -8,10 +8,10 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.files import read
 from mcmc1d.flatland.scene import Material, Pinhole, Point, Scene, Segment
 from mcmc1d.flatland.schema import nearest
-from mcmc1d.numerics import require
 
 _FOLDER = Path(__file__).with_name("scenes")
 

@@ -7,10 +7,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.geometry import Frame, Vector, Walls
 from mcmc1d.flatland.scattering import Local, lambert_direction, lambert_number
 from mcmc1d.flatland.scene import Pinhole, Scene
-from mcmc1d.numerics import below_one, require
+from mcmc1d.numerics import below_one
 from mcmc1d.types import Array, Bool, Float, Index, Real, Scalar
 
 

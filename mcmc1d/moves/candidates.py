@@ -10,7 +10,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from mcmc1d.numerics import below_one, r_sequence, require, stratum, wrap
+from mcmc1d.checks import require
+from mcmc1d.numerics import below_one, stratum, wrap
+from mcmc1d.quadrature import r_sequence
 from mcmc1d.types import Array, Float, Index
 
 

@@ -4,11 +4,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.checks import require, require_instance, require_positive, require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Move, Proposal, zero
 from mcmc1d.moves.primary import LargeStep
-from mcmc1d.numerics import normal_quantile, parameter, require, require_positive, stratum, wrap
+from mcmc1d.numerics import normal_quantile, parameter, stratum, wrap
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 

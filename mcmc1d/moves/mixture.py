@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.batching import only_where
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
-from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick, require
+from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Real
 

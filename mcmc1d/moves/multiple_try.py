@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.compiling import quickly
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.candidates import Antithetic, Candidates, Independent, Rotated, Stratified
 from mcmc1d.moves.primary import ExponentialStep, SmallStep
-from mcmc1d.numerics import choose, ends_of, require, select, unchoose
+from mcmc1d.numerics import choose, ends_of, select, unchoose
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 

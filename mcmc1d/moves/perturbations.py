@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.special import ndtr
 
+from mcmc1d.checks import require_positive
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Proposal, around_the_ends
-from mcmc1d.numerics import parameter, require_positive
+from mcmc1d.numerics import parameter
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.techniques import TruncatedNormal
 from mcmc1d.types import Array, Float, Scalar

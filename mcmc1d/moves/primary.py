@@ -4,9 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Proposal, around_the_ends, zero
-from mcmc1d.numerics import is_concrete, normal_quantile, parameter, require, require_positive
+from mcmc1d.numerics import is_concrete, normal_quantile, parameter
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 

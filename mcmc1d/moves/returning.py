@@ -3,11 +3,11 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require_instance, require_positive
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import Move, Proposal
 from mcmc1d.moves.reversible_jump import ReversibleJump
-from mcmc1d.numerics import in_unit_cube, parameter, require_positive
+from mcmc1d.numerics import in_unit_cube, parameter
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Scalar
 

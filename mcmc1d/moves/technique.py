@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.compiling import quickly
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Move, Proposal
 from mcmc1d.moves.primary import LargeStep, SmallStep
-from mcmc1d.numerics import choose, cumulative, entry, is_concrete, require, unchoose, width
+from mcmc1d.numerics import choose, cumulative, entry, is_concrete, unchoose, width
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index, Real, Scalar
 

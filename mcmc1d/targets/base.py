@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import rising
-from mcmc1d.numerics import require
+from mcmc1d.checks import require, rising
 from mcmc1d.quadrature import Outline, integrate, integrate_plane
 from mcmc1d.types import Array, Corners, Float, Scalar
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcmc1d.checks import require
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import require
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
 

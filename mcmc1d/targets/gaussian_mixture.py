@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from mcmc1d.checks import rising
+from mcmc1d.checks import require, require_positive, rising
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, log_sum, parameter, require, require_positive
+from mcmc1d.numerics import is_concrete, log_sum, parameter
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Float, Real, Scalar
 

@@ -6,9 +6,9 @@ import numpy as np
 from jax.nn import logsumexp
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import density_table, require_box, rising
+from mcmc1d.checks import density_table, require, require_box, require_positive, rising
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import parameter, require, require_positive
+from mcmc1d.numerics import parameter
 from mcmc1d.quadrature import Outline
 from mcmc1d.targets.base import Edges, Target
 from mcmc1d.types import Corners, Float, Real, Scalar

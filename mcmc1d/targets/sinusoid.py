@@ -4,9 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import rising
+from mcmc1d.checks import require, require_positive, rising
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, parameter, require, require_positive, sin_turns
+from mcmc1d.numerics import is_concrete, parameter, sin_turns
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
 

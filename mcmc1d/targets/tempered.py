@@ -6,9 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, log_sum, parameter, require
+from mcmc1d.numerics import is_concrete, log_sum, parameter
 from mcmc1d.quadrature import Outline
 from mcmc1d.targets.base import Edges, Target
 from mcmc1d.types import Array, Corners, Float, Scalar

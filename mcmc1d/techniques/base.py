@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import traced
-from mcmc1d.numerics import below_one, limit, require
+from mcmc1d.checks import require, traced
+from mcmc1d.numerics import below_one, limit
 from mcmc1d.types import Array, Corners, Float, Scalar
 
 Forward: TypeAlias = tuple[Float[Array, "..."], Float[Array, " k"], Scalar]

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import below_one, cast, is_concrete, require
+from mcmc1d.numerics import below_one, cast, is_concrete
 from mcmc1d.techniques.base import Forward, Inverse, Technique, checked_shape, dim_v, sample_shape
 from mcmc1d.types import Array, Corners, Float, Scalar
 

@@ -6,18 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import (
-    below_one,
-    cos_turns,
-    is_concrete,
-    limit,
-    parameter,
-    require,
-    require_positive,
-    sin_turns,
-    wrap,
-)
+from mcmc1d.numerics import below_one, cos_turns, is_concrete, limit, parameter, sin_turns, wrap
 from mcmc1d.quadrature import Outline
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.planar import ROUNDINGS, Planar

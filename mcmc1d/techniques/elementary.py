@@ -4,8 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, linear_cdf, linear_quantile, parameter, require
+from mcmc1d.numerics import is_concrete, linear_cdf, linear_quantile, parameter
 from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Scalar
 

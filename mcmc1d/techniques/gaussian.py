@@ -4,8 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import below_one, is_concrete, parameter, require, require_positive
+from mcmc1d.numerics import below_one, is_concrete, parameter
 from mcmc1d.techniques.base import Forward, Inverse, Technique
 from mcmc1d.types import Array, Corners, Float, Real, Scalar
 

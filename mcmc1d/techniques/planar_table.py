@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import density_table, require_box
+from mcmc1d.checks import density_table, require, require_box
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import below_one, choose, limit, parameter, require, unchoose, width
+from mcmc1d.numerics import below_one, choose, limit, parameter, unchoose, width
 from mcmc1d.quadrature import Outline
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.disk import ConcentricDisk

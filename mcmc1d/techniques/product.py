@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import require
 from mcmc1d.techniques.base import Forward, Inverse, Technique, checked_shape, dim_v, sample_shape
 from mcmc1d.techniques.elementary import Uniform
 from mcmc1d.types import Array, Corners, Float, Scalar

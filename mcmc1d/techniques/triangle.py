@@ -4,8 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import below_one, is_concrete, limit, parameter, require
+from mcmc1d.numerics import below_one, is_concrete, limit, parameter
 from mcmc1d.quadrature import Outline
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.planar import ROUNDINGS, Planar

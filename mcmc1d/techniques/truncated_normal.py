@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr, ndtri
 
+from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, limit, parameter, require, require_positive
+from mcmc1d.numerics import is_concrete, limit, parameter
 from mcmc1d.techniques.base import Inversion, within
 from mcmc1d.types import Scalar
 

@@ -8,9 +8,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import Move
-from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
 from mcmc1d.verify.kernels import HostKernel, HostSubject, JaxKernel, JaxSubject
 from mcmc1d.verify.law import Law, Position

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.verify.goodness import (
     cells_p_value,
     dkw_p_value,

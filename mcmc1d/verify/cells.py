@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from mcmc1d.checks import require_whole
-from mcmc1d.numerics import below_one, require
+from mcmc1d.checks import require, require_whole
+from mcmc1d.numerics import below_one
 from mcmc1d.types import Array, Float, Index, Int, UInt32
 
 _BITS = 32

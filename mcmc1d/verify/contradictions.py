@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import jax
 import numpy as np
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.verify.battery import Test, coordinates
 from mcmc1d.verify.ends import varies
 from mcmc1d.verify.forgetting import point

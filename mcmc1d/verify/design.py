@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.verify.battery import POOLED, OneSample, Test, TwoSample, coordinates, evaluate
 from mcmc1d.verify.ends import cell_ends, inner_ends, varies
 from mcmc1d.verify.energy import Energy

@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import traced
-from mcmc1d.numerics import require
+from mcmc1d.checks import require, traced
 from mcmc1d.verify.law import Law, Position
 
 _ROWS = 4096  # that are evaluated at once: of every new number a program would be compiled

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.verify.adapters import as_subject
 from mcmc1d.verify.law import Statistic, as_law
 from mcmc1d.verify.ledger import Ledger, Scheme

@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.compiling import quickly
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.technique import log_ratio
-from mcmc1d.numerics import cast, choose, entry, require, unchoose, width, wrap
+from mcmc1d.numerics import cast, choose, entry, unchoose, width, wrap
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Tabulated
 from mcmc1d.techniques import Technique, Uniform

@@ -10,9 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from mcmc1d.checks import require_mass
+from mcmc1d.checks import require, require_mass
 from mcmc1d.compiling import wide_jit
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.types import Array, Float, UInt32
 from mcmc1d.verify.cells import Cells, net_points, number, regular, require_nets, sobol
 from mcmc1d.verify.outcomes import KernelFlux, StepFlux

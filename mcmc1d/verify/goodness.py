@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import binom
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 
 
 def dkw_p_value(counts: np.ndarray, masses: np.ndarray) -> float:

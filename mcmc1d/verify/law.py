@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 import jax
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.compiling import quickly
-from mcmc1d.numerics import require
 from mcmc1d.starts import exact_start
 from mcmc1d.state import Multiplexed, State
 

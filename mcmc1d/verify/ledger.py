@@ -3,8 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from mcmc1d.checks import require_whole
-from mcmc1d.numerics import require
+from mcmc1d.checks import require, require_whole
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require_cover, require_instance, require_mass, rising
+from mcmc1d.checks import require, require_cover, require_instance, require_mass, rising
 from mcmc1d.compiling import wide_jit
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index, UInt32
 from mcmc1d.verify.cells import net_points, require_nets, sobol

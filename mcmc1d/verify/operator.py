@@ -16,10 +16,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.special import gammaln
 
-from mcmc1d.checks import require_instance, rising, traced
+from mcmc1d.checks import require, require_instance, rising, traced
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
-from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
 from mcmc1d.verify.flux import Flux, Starts, measure
 from mcmc1d.verify.goodness import expected_distance

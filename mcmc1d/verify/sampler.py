@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.parallel import cores
 from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates
 from mcmc1d.verify.ends import varies

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 
 if TYPE_CHECKING:
     Matrix: TypeAlias = Any  # SciPy's stubs do not know the shape of a sparse matrix

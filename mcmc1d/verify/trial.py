@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from scipy.stats import binom
 
-from mcmc1d.numerics import require
+from mcmc1d.checks import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
 from mcmc1d.verify.contradictions import require_alike, require_cells, require_density, require_fit, require_random
 from mcmc1d.verify.design import design, main_coordinates, partitions, unseen

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from mcmc1d.checks import require_instance, require_key, require_whole
+from mcmc1d.checks import require, require_instance, require_key, require_whole
 from mcmc1d.flatland.integrators.base import Integrator
 from mcmc1d.flatland.integrators.chains import MMLT, PSSMLT, RJMLT
 from mcmc1d.flatland.integrators.coherent import CoherentMLT
@@ -20,7 +20,6 @@ from mcmc1d.flatland.integrators.veach import MLT
 from mcmc1d.flatland.sampling import Sums
 from mcmc1d.flatland.scene import Scene, require_scene
 from mcmc1d.flatland.schema import nearest
-from mcmc1d.numerics import require
 from mcmc1d.types import Key
 from mcmc1d.weights import Maximum, Power
 

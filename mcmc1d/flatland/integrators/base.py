@@ -5,12 +5,13 @@ import abc
 import equinox as eqx
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators.image import Layer, Stacked
 from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.plane import distance
 from mcmc1d.flatland.scene import Pinhole, Scene
-from mcmc1d.numerics import is_concrete, require
+from mcmc1d.numerics import is_concrete
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Key
 from mcmc1d.weights import Power, Weights

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import run
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_whole
 from mcmc1d.estimators import Acceptance, Estimator
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
@@ -20,7 +20,7 @@ from mcmc1d.flatland.sampling import Sums, bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Kernel, Metropolis, Step
 from mcmc1d.moves import AimedJump, LargeStep, Mixture, ReversibleJump, SmallStep, StepAndChange
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.pooled import Pooled, PooledDeposit
 from mcmc1d.state import Multiplexed
 from mcmc1d.techniques.product import cube

@@ -4,12 +4,12 @@ from typing import Literal
 
 import equinox as eqx
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.integrators.base import multiplexed
 from mcmc1d.flatland.integrators.chains import Metropolised, require_chains
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import LargeStep, Mixture, MultipleTry, SmallStep, StepAndChange
-from mcmc1d.numerics import require
 from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
 from mcmc1d.state import Multiplexed
 from mcmc1d.subchain import SubChain

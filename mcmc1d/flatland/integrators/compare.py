@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from mcmc1d.checks import require_instance
+from mcmc1d.checks import require, require_instance
 from mcmc1d.flatland.integrators.image import Image, Layer, Stacked
 from mcmc1d.flatland.sampling import Sums
-from mcmc1d.numerics import require
 
 
 class Comparison(NamedTuple):

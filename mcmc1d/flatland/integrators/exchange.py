@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import run
+from mcmc1d.checks import require
 from mcmc1d.estimators import Acceptance
 from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
 from mcmc1d.flatland.integrators.chains import EachChain, require_chains
@@ -15,7 +16,6 @@ from mcmc1d.flatland.sampling import Sums, bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.moves import LargeStep, Mixture, Move, SmallStep
 from mcmc1d.moves.exchange import Exchange, ReplicaStep
-from mcmc1d.numerics import require
 from mcmc1d.replicated import ReplicaDeposit, replicated
 from mcmc1d.starts import exact_start
 from mcmc1d.state import Multiplexed, State

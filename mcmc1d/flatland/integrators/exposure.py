@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator, added, empty
 from mcmc1d.examples import Examples
@@ -18,7 +19,7 @@ from mcmc1d.flatland.paths import Paths
 from mcmc1d.flatland.sampling import undefined_light
 from mcmc1d.image import reciprocal
 from mcmc1d.metropolis import Kernel, Step
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.rendering import STEPS_AT_ONCE
 from mcmc1d.starts import accepted, independent_states

@@ -5,13 +5,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators.base import Integrator, brightest, brightest_from_lamps, multiplexed
 from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.flatland.sampling import exposed
 from mcmc1d.flatland.scene import Pinhole, Scene
-from mcmc1d.numerics import cast, require
+from mcmc1d.numerics import cast
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Key
 from mcmc1d.weights import Balance, Maximum, Power

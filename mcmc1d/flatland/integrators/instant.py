@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.evaluation import reads
@@ -18,7 +18,7 @@ from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Geometry, Light, LightTimes, Paths
 from mcmc1d.flatland.sampling import bootstrap, exposed
 from mcmc1d.flatland.scene import Pinhole, Scene
-from mcmc1d.numerics import parameter, require
+from mcmc1d.numerics import parameter
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Key, Scalar
 from mcmc1d.weights import Balance, Weights

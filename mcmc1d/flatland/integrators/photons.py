@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_whole
 from mcmc1d.flatland.geometry import Vector, Walls
 from mcmc1d.flatland.integrators.base import brightest, multiplexed
 from mcmc1d.flatland.integrators.passes import Passes
 from mcmc1d.flatland.paths import Paths, lamps, on_a_lamp
 from mcmc1d.flatland.scattering import Local, brdf, lambert_direction, local, scatter
 from mcmc1d.flatland.scene import Scene
-from mcmc1d.numerics import parameter, require
+from mcmc1d.numerics import parameter
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.chain import run
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require_positive, require_whole
 from mcmc1d.compiling import wide_jit
 from mcmc1d.flatland.integrators.base import Integrator, brightest, multiplexed
 from mcmc1d.flatland.integrators.chains import EachChain
@@ -18,7 +18,7 @@ from mcmc1d.flatland.sampling import Sums, bootstrap, undefined_light
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
-from mcmc1d.numerics import cast, require_positive
+from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.redistribution import chains_of
 from mcmc1d.starts import uniform_states

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_positive, require_whole
 from mcmc1d.flatland.importance import OverPixels, Shader
 from mcmc1d.flatland.integrators.base import Integrator, brightest
 from mcmc1d.flatland.integrators.exposure import exact_starts, expose, highest_seen, unexposed
@@ -19,7 +19,6 @@ from mcmc1d.flatland.scene import Scene
 from mcmc1d.image import Film
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange
-from mcmc1d.numerics import require, require_positive
 from mcmc1d.perception import EXPOSURE
 from mcmc1d.pixels import Pixels, resample
 from mcmc1d.stages import MultiStage, NoiseAware, Stage, plan

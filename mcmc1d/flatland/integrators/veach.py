@@ -4,7 +4,7 @@ import math
 
 import equinox as eqx
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_whole
 from mcmc1d.flatland.integrators.base import multiplexed
 from mcmc1d.flatland.integrators.chains import Metropolised
 from mcmc1d.flatland.mutations import veach
@@ -12,7 +12,6 @@ from mcmc1d.flatland.mutations.base import layout
 from mcmc1d.flatland.mutations.bidirectional import deletions
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Metropolis
-from mcmc1d.numerics import require
 from mcmc1d.state import Multiplexed
 from mcmc1d.weights import Balance, Maximum, Power
 

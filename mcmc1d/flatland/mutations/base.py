@@ -13,12 +13,13 @@ from typing import NamedTuple, TypeAlias
 import equinox as eqx
 import jax.numpy as jnp
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.any_length import AnyLength
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.mixture import shares
-from mcmc1d.numerics import choose, cumulative, locate, log_sum, pick, require, unchoose
+from mcmc1d.numerics import choose, cumulative, locate, log_sum, pick, unchoose
 from mcmc1d.state import Eval, Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Real, Scalar
 

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Iterable
 
+from mcmc1d.checks import require
 from mcmc1d.flatland.scene import Point
-from mcmc1d.numerics import require
 
 
 def furnace(emission: float, reflectance: float, edges: int | None = None) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require, require_whole
 from mcmc1d.flatland.reference.films import WallPoints, pinhole_rays
 from mcmc1d.flatland.reference.glossy import Directions, lobe
 from mcmc1d.flatland.reference.mesh import Resolution, make_mesh
@@ -31,7 +31,6 @@ from mcmc1d.flatland.reference.rays import Geometry, Rays, dot, fan
 from mcmc1d.flatland.reference.shadows import ShadowLines
 from mcmc1d.flatland.reference.unseen import Unseen
 from mcmc1d.flatland.scene import Pinhole, Scene, Wall, require_scene
-from mcmc1d.numerics import require
 
 SMALL = Resolution()
 """For scenes of a few segments, of Lambert's lobe and mirrors: 1e-6 of the mean, or better; 1e-3 after many mirrors."""
