@@ -45,6 +45,7 @@ def test_readme_examples_run_and_pass(capsys):
     assert abs((run.mean("law") - exact) / run.standard_error("law")).max() < 5
 
 
+@pytest.mark.slow
 def test_the_scene_of_the_readme_is_the_same_from_python_and_from_a_file(tmp_path):
     (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
     (tmp_path / "mine.toml").write_text(text)

@@ -70,6 +70,7 @@ def test_independent_samples_and_two_stage_are_unbiased():
     assert (test.work, final.work, final.film.samples) == (256, 1024, 768)
 
 
+@pytest.mark.slow
 def test_it_is_all_the_same_in_float64():
     """Parameters are kept in float64 until something is rendered; a carry that began in float32 did not stay one."""
     with jax.enable_x64(True):
@@ -81,6 +82,7 @@ def test_it_is_all_the_same_in_float64():
     assert np.abs([scores(image) for image in images]).max() < 6
 
 
+@pytest.mark.slow
 def test_a_long_stage_loses_no_deposit():
     """The weights of three steps in four are 0.3 and 0.7, which a float32 sum over 2^22 rounds to 0.25 and 0.75."""
     scene = Scene(FromFunction(lambda x: jnp.where(x < 0.5, 1.0, 0.3), breaks=(0.5,)), Uniform(), Pixels(2))

@@ -136,6 +136,7 @@ def test_masses_of_replicas_are_products():
     assert np.allclose(masses, np.outer(*rows), rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_replicas_in_the_plane_are_points_end_to_end():
     f, x = two_ridges(), np.array([0.3, 0.4, 0.7, 0.2])
     pair = tempering.replicas(f, [1.0, 0.5], Rectangle())
@@ -247,6 +248,7 @@ class _SharedAlike(OfMove):
 
 
 @pytest.mark.parametrize("combine", ["sum", "maximum"])
+@pytest.mark.slow
 def test_pooled_deposits_are_verified_and_shared_alike_they_are_caught(combine):
     """At level 1e-5; 2^13 replicas show a CDF gap of 0.05 in the law of the deposits with probability 0.99."""
     target, step = pooled(PAIR, combine), SmallStep(0.1)

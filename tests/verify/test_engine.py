@@ -119,6 +119,7 @@ def test_too_few_replicas_are_no_pass():
     assert verify.verify(independent, NORMAL, replicas=100, gap=0.5).passed
 
 
+@pytest.mark.slow
 def test_orthants_of_many_coordinates():
     """Three of five coordinates whose signs multiply to the sign that they had: every pair is right."""
 

@@ -44,7 +44,10 @@ def couples(key, x):
     return y.at[9].set(jnp.abs(y[9]) * jnp.sign(y[0]))
 
 
-@pytest.mark.parametrize(("kernel", "d"), [(keeps_a_sign, 2), (keeps_a_sign, 3), (keeps_a_fifth_apart, 1)])
+@pytest.mark.parametrize(
+    ("kernel", "d"),
+    [(keeps_a_sign, 2), pytest.param(keeps_a_sign, 3, marks=pytest.mark.slow), (keeps_a_fifth_apart, 1)],
+)
 def test_a_kernel_that_never_gets_everywhere_does_not_pass(kernel, d):
     report = verify(kernel, normal(d), replicas=2**15)
     assert report.verdict is Verdict.INCONCLUSIVE
@@ -58,6 +61,7 @@ def test_a_rotation_is_not_reversible_though_each_coordinate_is():
     assert report.reasons == ["it is declared reversible and is not: x[0] with x[1] after 1 step"]
 
 
+@pytest.mark.slow
 def test_of_many_coordinates_others_than_neighbours_are_looked_at_together():
     """In 2^15 replicas; of twelve coordinates 64 of the 66 pairs are."""
     assert verify(couples, normal(12), replicas=2**15, ergodic=False).verdict is Verdict.FAIL

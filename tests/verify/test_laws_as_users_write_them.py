@@ -260,6 +260,7 @@ class Snooker(emcee.moves.RedBlueMove):
         return q, factor
 
 
+@pytest.mark.slow
 def test_walkers_from_bad_starts_are_at_places_of_their_own():
     law = Law(lambda rng, n: rng.normal(size=(n, 3)), cdf=ndtr, log_density=lambda x: -0.5 * jnp.sum(x * x))
     assert verify(Snooker(), law, replicas=2**12, gap=0.5).passed
