@@ -187,9 +187,13 @@ class _Contract:
             for step in (eps**0.5, eps**0.75, eps**0.9):
                 moved = np.clip(points + (step * direction).astype(self.dtype), 0, np.nextafter(one, 0 * one))
                 near.append(self.maps.forward(np.resize(moved, at_u.values.shape))[1][: len(points)])
-            # An infinite limit is approached by growing, a finite one by differences that shrink.
-            infinite = np.isinf(claimed)
-            growing = (np.sign(near[2]) == np.sign(claimed)) & (np.abs(near[2]) > np.abs(near[0]))
+            # An infinite limit is approached by growing, a finite one by differences that shrink. Where another edge is
+            # near, what grows may not have come to the sign of its limit: as a logarithm it grows steadily.
+            infinite, sign = np.isinf(claimed), np.sign(claimed)
+            with np.errstate(invalid="ignore"):
+                first, second = sign * (near[1] - near[0]), sign * (near[2] - near[1])
+            growing = (np.sign(near[2]) == sign) & (np.abs(near[2]) > np.abs(near[0]))
+            growing |= (first > 0) & (second > first / 2)
             far, close = (np.where(infinite, 0, np.abs(value - np.where(infinite, 0, claimed))) for value in near[::2])
             shrinking = ((close < far) & (close < eps**0.2)) | (close <= 1e3 * eps)
             holds |= np.where(infinite, growing, shrinking)
