@@ -108,7 +108,7 @@ def judge(data: xr.Dataset) -> list[Claim]:
         "plane.mmlt-glossy-pixels",
         "Where the camera sees gloss MMLT's error at equal rays is lower than original MLT's",
         f"{SOURCE}, fig. 1, 4, 6",
-        "holds",
+        "fails",
         "MMLT",
         ("MLT",),
         (GLOSSY_DOOR, "glossy_corner"),
