@@ -261,13 +261,16 @@ def board(rng, n):
     return (np.stack([i, 2 * rng.integers(10, size=n) + i % 2], 1) + rng.random((n, 2))) / 20
 
 
+def log_board(x):
+    return jnp.where(jnp.sum(jnp.floor(20 * x)) % 2 == 0, 0.0, -jnp.inf)
+
+
 def test_a_pass_says_how_finely_joint_laws_are_looked_at():
     law, _ = exactly(board, cdf=lambda x: np.clip(x, 0, 1))
     wrong = HostKernel(lambda rng, x: rng.random(x.shape))
     said = "the joint law of x[0], x[1] within 10 x 10 cells; a log_density in the law shows much of it"
     assert said in verify(wrong, law, **SIZE).untested
-    density = lambda x: jnp.where(jnp.sum(jnp.floor(20 * x)) % 2 == 0, 0.0, -jnp.inf)  # noqa: E731
-    law, right = exactly(board, cdf=law.cdf, log_density=density)
+    law, right = exactly(board, cdf=law.cdf, log_density=log_board)
     assert verify(wrong, law, **SIZE).verdict is Verdict.FAIL
     assert not any("joint" in what for what in verify(right, law, **SIZE).untested)
     law, right = exactly(lambda rng, n: rng.integers(3, size=(n, 2)))
