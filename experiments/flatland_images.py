@@ -34,6 +34,9 @@ BY_LENGTH = ("bdpt", "mmlt", "rjmlt")
 CHAINS = 2**18
 """Of what runs chains: a deviation of their mean is bounded by their number."""
 
+_NO_START = "nothing to start from", "in a narrow peak"
+"""Said by exact starts that find no light, or far too little of it for so many chains."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -154,9 +157,9 @@ def held(
     try:
         found, result, samples = sharp(key, make, of, lengths, 2**log2_pilot, goal, 2**log2_work, exact, level)
     except ValueError as error:
-        if "nothing to start from" not in str(error):
+        if not any(why in str(error) for why in _NO_START):
             raise
-        # Light that a sample for b met, and none that chains could start from: there is no image, and no bound.
+        # Light that a sample for b met, and chains could not start from: there is no image, and no bound.
         return {"excess": 0.0, "detectable": np.inf, "blind": 0.0, **unknown}
     techniques = [len(Paths(of, layer.edges).eye_lengths) for layer in found.layers]
     off = Image([layer.scaled(1 - 1 / n) for layer, n in zip(found.layers, techniques, strict=True)])

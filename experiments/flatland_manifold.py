@@ -20,7 +20,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.flatland_chains import close, films_unsaved
+from experiments.support.flatland_chains import close, films
 from experiments.support.flatland_manifold_results import claims, figure
 from experiments.support.framework import chosen
 from experiments.support.sweep import Sweep
@@ -123,7 +123,7 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[st
         kernel, each = _kernel(config, target, paths, method)
         steps = [int(int(rays) / each) for rays in config.budgets.split()]
         own, asked = jax.random.fold_in(key, 1 + k), {"kinds": mcmc1d.Acceptance()}
-        ran = films_unsaved(method, own, kernel, target, paths, config.runs, steps, asked, start)
+        ran = films(method, own, kernel, target, paths, config.runs, steps, asked, start)
         residual.append(config.pixels * reference.mean() * ran.films - reference)
         accepted.append(_accepted(kernel.kinds, ran.sums["kinds"]))
         share = reference / reference.sum()

@@ -1,8 +1,8 @@
 """Hachisuka et al. 2014, figure 6, in the plane: how images converge where a camera sees gloss, and where it does not.
 
 The paper shows close-ups of figure 4 by original MLT and MMLT, and no numbers. Here the pixels are marked that see a
-glossy wall in all of their width, and those that see none, and each part's error is drawn against rays, of all
-integrators. Scenes, lengths and work are those of `flatland_mmlt`, and differ from the paper as is said there.
+glossy wall in all of their width, and those that see none, and each part's error is drawn against rays, beside that of
+BDPT. Scenes, lengths and work are those of `flatland_mmlt`, and differ from the paper as is said there.
 """
 
 from dataclasses import asdict, dataclass
@@ -17,7 +17,6 @@ from rich.table import Table
 
 from experiments.support.flatland_equal import Rivalry, critical, judged, log_ratio, mean_ratio, root, squared
 from experiments.support.flatland_glossy import GLOSSY_DOOR
-from experiments.support.flatland_rivals import INTEGRATORS
 from experiments.support.flatland_sayings import AGAINST, SOURCE
 from experiments.support.flatland_work import Work, draw_errors, gathered, measured
 from experiments.support.framework import Claim
@@ -26,6 +25,7 @@ from experiments.support.sweep import Sweep
 from experiments.support.verdict import among
 
 PARTS = ("glossy", "diffuse")
+INTEGRATORS = ("BDPT", "MLT", "MMLT")
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,13 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every integrator on every scene and path length, part by part."""
     names, lengths = config.scenes.split(), range(config.shortest, config.longest + 1)
     points = [(name, k, asdict(config), seed) for name in names for k in lengths]
-    return gathered(progress.map("scenes and lengths", measure, points), names, config, regions=True)
+    found = progress.map("scenes and lengths", measure, points)
+    return gathered(found, names, config, regions=True, integrators=INTEGRATORS)
 
 
 def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[str, Any]:
     """One scene and path length: what JSON can hold of it."""
-    return measured(name, edges, Config(**fields), seed, regions=True)
+    return measured(name, edges, Config(**fields), seed, regions=True, integrators=INTEGRATORS)
 
 
 def draw(data: xr.Dataset) -> Figure:

@@ -20,7 +20,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from experiments.support.flatland_caustic import blurred, caustic, exact, found
-from experiments.support.flatland_chains import close, films_unsaved, multiplexed_kernel
+from experiments.support.flatland_chains import close, films, multiplexed_kernel
 from experiments.support.flatland_rivals import contributions
 from experiments.support.flatland_sds_claims import claims
 from experiments.support.flatland_sds_figure import figure
@@ -142,9 +142,7 @@ def measure(width: float, edges: int, fields: dict[str, Any], seed: int) -> dict
     for k, method in enumerate(CHAINS):
         steps = [int((rays - size * edges) / each[method]) for rays, size in zip(budgets, sizes, strict=True)]
         kernel = _kernel(config, n, method)
-        ran = films_unsaved(
-            method, jax.random.fold_in(key, 100 + k), kernel, target, paths, config.runs, steps, {}, start
-        )
+        ran = films(method, jax.random.fold_in(key, 100 + k), kernel, target, paths, config.runs, steps, {}, start)
         images = config.pixels * estimated[:, :, None] * ran.films
         mse.append(_squared(images, reference))
         known.append(_squared(config.pixels * b * ran.films, reference))

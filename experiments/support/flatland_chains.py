@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtr
 
-from experiments.support.long import at, long_run
+from experiments.support.long import long_run
 from mcmc1d.estimators import Estimator
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators.chains import EachChain
@@ -151,6 +151,10 @@ class Lit(Estimator):
         return sums + (weight[weight.shape[0] // 2 :] > 0).mean(0, dtype=sums.dtype)
 
 
+_WORTH_SAVING = 2**22
+"""Mutations: fewer take less time than to describe their program does."""
+
+
 class Films(NamedTuple):
     """What independent chains deposited, each on a film of its own."""
 
@@ -188,6 +192,7 @@ def films(
             blocks=1,
             estimators=asked,
             start=start,
+            saved=(steps - done) * chains >= _WORTH_SAVING,
         )
         start, done = ran.state, steps
         total = total + ran.sums["film"][0].T
@@ -195,12 +200,6 @@ def films(
         new = {name: jax.tree.map(lambda s: s[0], ran.sums[name]) for name in estimators}
         others = new if k == 0 else jax.tree.map(np.add, others, new)
     return Films(np.stack(seen), others)
-
-
-def films_unsaved(*arguments: Any) -> Films:
-    """`films` that are not saved as they go: to describe a program of Veach's mutations takes longer than to run it."""
-    with at(None, None):
-        return films(*arguments)
 
 
 __all__ = [
@@ -212,7 +211,6 @@ __all__ = [
     "Usage",
     "close",
     "films",
-    "films_unsaved",
     "mixed_kernel",
     "mixes",
     "multiplexed_kernel",

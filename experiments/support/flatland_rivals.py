@@ -60,6 +60,8 @@ class Rivals:
     """Of one chain each; as many batches of independent samples."""
     samples: int
     """Independent ones."""
+    who: tuple[str, ...] = INTEGRATORS
+    """Of `INTEGRATORS`, in their order; BDPT is one, for it says what each technique contributes."""
 
     def __post_init__(self):
         require(self.samples % self.runs == 0, f"samples, {self.samples}, are a multiple of runs, {self.runs}")
@@ -81,6 +83,8 @@ class Rivals:
         techniques = {"PT": range(n - 2, n), "LT": range(1 + self.paths.sensor.places), "BDPT": range(n)}
         rows, size, total = [], self.samples // self.runs, np.zeros(0)
         for k, who in enumerate(INDEPENDENT):
+            if who not in self.who:
+                continue
             own, mask = jax.random.fold_in(key, k), np.isin(np.arange(n), techniques[who])
             total, squares = contributions(own, self.every, self.paths, mask, self.runs, size)
             batches = Sums(size, total.sum(1), squares.sum(1), np.inf)
@@ -110,8 +114,8 @@ class Rivals:
         """
         pixels, n = float(len(self.reference)), self.every.n_techniques
         rows, found, integrals = [], {}, {}
-        for k, (who, chain) in enumerate(self._chains(jax.random.fold_in(key, 2 * len(CHAINS))).items()):
-            own, of_b = (jax.random.fold_in(key, 2 * k + part) for part in (0, 1))
+        for who, chain in self._chains(jax.random.fold_in(key, 2 * len(CHAINS))).items():
+            own, of_b = (jax.random.fold_in(key, 2 * CHAINS.index(who) + part) for part in (0, 1))
             if id(chain.target) not in integrals:  # that of all techniques is several chains'
                 size = int(self.samples * self.paths.edges / chain.rays_of_b)
                 integrals[id(chain.target)] = bootstrap(of_b, chain.target, size, np.inf)
@@ -153,15 +157,20 @@ class Rivals:
         exact = exact_start(key, every, self.runs)
         chains = {}
         for combine, who in zip(("sum", "maximum"), CHAINS, strict=False):
+            if who not in self.who:
+                continue
             one = PSSMLT(combine=combine, sigma=self.sigma, large=self.large)
             target = one.target(paths)
             # The density of u alone under MMLT's law is the sum, so that its exact starts are exact here.
             start = State(jnp.zeros_like(exact.index), exact.u) if combine == "sum" else None
             chains[who] = Chain(one.kernel(), target, start, *one.rays(target, paths, {"mutation": 1.0}))
-        one = MLT()
-        shares = {kind: getattr(one, kind) for kind in ("bidirectional", "lens", "caustic", "multi_chain")}
-        chains[CHAINS[2]] = Chain(one.kernel(), every, exact, *one.rays(every, paths, shares))
+        if CHAINS[2] in self.who:
+            one = MLT()
+            shares = {kind: getattr(one, kind) for kind in ("bidirectional", "lens", "caustic", "multi_chain")}
+            chains[CHAINS[2]] = Chain(one.kernel(), every, exact, *one.rays(every, paths, shares))
         for who, matrix in zip(METHODS, (close(n, self.sigma), np.full((n, n), 1 / n)), strict=False):
+            if who not in self.who:
+                continue
             kernel = multiplexed_kernel(self.sigma, self.large, matrix)
             chains[who] = Chain(kernel, every, exact, *MMLT().rays(every, paths, {"mutation": 1.0}))
         return chains
@@ -169,7 +178,7 @@ class Rivals:
 
 def dark(rivals: Rivals) -> dict[str, np.ndarray]:
     """The same of a length without light, as of what only lies behind a mirror: no error, and no b to find."""
-    each, none = len(INTEGRATORS), np.zeros((len(INTEGRATORS), len(rivals.reference)))
+    each, none = len(rivals.who), np.zeros((len(rivals.who), len(rivals.reference)))
     return {
         **dict.fromkeys(("value", "error"), none),
         "mean_error": np.zeros(each),
@@ -180,7 +189,7 @@ def dark(rivals: Rivals) -> dict[str, np.ndarray]:
 
 
 def everyone(rivals: Rivals, key: Key) -> dict[str, np.ndarray]:
-    """What all `INTEGRATORS` do, and what was found by technique."""
+    """What all of them do, and what was found by technique."""
     independent, of_technique = rivals.independent(jax.random.fold_in(key, 0))
     chains, of_chains = rivals.chains(jax.random.fold_in(key, 1))
     rows = independent + chains

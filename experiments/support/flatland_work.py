@@ -58,7 +58,15 @@ def _rays(config: Work, edges: int) -> np.ndarray:
     return edges * config.first * 2 ** np.arange(config.doublings + 1)
 
 
-def measured(name: str, edges: int, config: Work, seed: int, *, regions: bool = False) -> dict[str, Any]:
+def measured(
+    name: str,
+    edges: int,
+    config: Work,
+    seed: int,
+    *,
+    regions: bool = False,
+    integrators: tuple[str, ...] = INTEGRATORS,
+) -> dict[str, Any]:
     """One scene and path length: what JSON can hold of it. `regions`: errors are also of the pixels that see gloss."""
     scene = known(name).with_pixels(config.pixels)
     reference = exact(scene, edges)
@@ -73,6 +81,7 @@ def measured(name: str, edges: int, config: Work, seed: int, *, regions: bool = 
         config.large,
         config.runs,
         config.samples,
+        integrators,
     )
     key = jax.random.fold_in(jax.random.key(seed), edges + 100 * sum(name.encode()))
     found = everyone(rivals, key) if values.max() > 1e-12 else dark(rivals)
@@ -81,7 +90,12 @@ def measured(name: str, edges: int, config: Work, seed: int, *, regions: bool = 
 
 
 def gathered(
-    found: Sequence[dict[str, Any]], names: Sequence[str], config: Work, *, regions: bool = False
+    found: Sequence[dict[str, Any]],
+    names: Sequence[str],
+    config: Work,
+    *,
+    regions: bool = False,
+    integrators: tuple[str, ...] = INTEGRATORS,
 ) -> xr.Dataset:
     """What `measured` found of each scene and length, scene by scene."""
     lengths = list(range(config.shortest, config.longest + 1))
@@ -91,7 +105,7 @@ def gathered(
     data = xr.concat([xr.concat(row, "edges", join="outer") for row in rows], "scene", join="outer")
     parts = [_members(known(name).with_pixels(config.pixels), regions) for name in names]
     return data.assign_coords(
-        scene=list(names), edges=lengths, integrator=list(INTEGRATORS), part=list(parts[0])
+        scene=list(names), edges=lengths, integrator=list(integrators), part=list(parts[0])
     ).assign(
         member=(("scene", "part", "pixel"), np.stack([np.stack(list(part.values())) for part in parts])),
         rays=(("edges", "budget"), np.stack([_rays(config, k) for k in lengths])),
@@ -131,6 +145,8 @@ STYLES: dict[str, dict[str, Any]] = {
 def draw_errors(panel: Axes, rays: np.ndarray, squares: xr.DataArray) -> None:
     """Each integrator's RMS error against rays, in per cent, with a band of 95 %."""
     for who, style in STYLES.items():
+        if who not in squares.integrator:
+            continue
         middle, low, high = root(squares.sel(integrator=who).to_numpy())
         panel.fill_between(rays, 100 * low, 100 * high, color=style["color"], alpha=0.2, linewidth=0)
         panel.plot(rays, 100 * middle, markersize=3, label=who, **style)

@@ -34,14 +34,15 @@ def at(prefix: str | None, show: Show | None) -> Iterator[None]:
         _HERE.reset(token)
 
 
-def long_run(name: str, *arguments: Any, **options: Any) -> "mcmc1d.Run":
+def long_run(name: str, *arguments: Any, saved: bool = True, **options: Any) -> "mcmc1d.Run":
     """`mcmc1d.run(*arguments, **options)`, which goes on from where an interrupted experiment has left it.
 
-    `name` is what is shown; no other run of the experiment, or of the sweep's point, may have it. Outside of an
-    experiment it is `mcmc1d.run`.
+    `name` is what is shown; no other run of the experiment, or of the sweep's point, may have it. Unless `saved` it is
+    shown alone: to describe a program, so that a run can be told from others, may take longer than to run it. Outside
+    of an experiment it is `mcmc1d.run`.
     """
     prefix, show = _HERE.get() or _Here()
-    if prefix is not None:
+    if saved and prefix is not None:
         file = f"{re.sub('[^a-z0-9]+', '-', name.lower())}-{crc32(name.encode()):08x}"
         options |= {"checkpoint": f"{prefix}.{file}", "every": SECONDS, "resume": True}
     if show is not None:

@@ -25,25 +25,26 @@ class Grid:
     def _crossed(self, a: np.ndarray, b: np.ndarray) -> list[tuple[tuple[int, int], float]]:
         """The cells from a to b in their order, and where each is left, as a share of the way."""
         start, way = (a - self.low) / self.size, (b - a) / self.size
-        crossings = [1.0]
+        crossings = []
         for axis in (0, 1):
             if way[axis] != 0:
                 first, last = sorted((start[axis], start[axis] + way[axis]))
                 lines = np.arange(np.ceil(first), np.floor(last) + 1)
-                crossings += [t for t in ((lines - start[axis]) / way[axis]).tolist() if 0 < t < 1]
-        ends = sorted(crossings)
-        middles = (np.array([0.0, *ends[:-1]]) + ends) / 2
+                crossings.append((lines - start[axis]) / way[axis])
+        inner = np.concatenate([*crossings, np.zeros(0)])
+        ends = np.sort(np.append(inner[(inner > 0) & (inner < 1)], 1.0))
+        middles = (np.append(0.0, ends[:-1]) + ends) / 2
         cells = np.floor(start + middles[:, None] * way).astype(int)
-        return [((int(i), int(j)), t) for (i, j), t in zip(cells, ends, strict=True)]
+        return list(zip(map(tuple, cells.tolist()), ends.tolist(), strict=True))
 
     def tested(self, ray: np.ndarray) -> list[int]:
         """The segments that a ray, (2, 2), from a point to another is tested against, until it is stopped."""
         a, b = ray
         way, tests = b - a, []
         for cell, left in self._crossed(a, b):
-            own = self.lists.get(cell)
-            if not own:
+            if cell not in self.lists:
                 continue
+            own = self.lists[cell]
             tests += own
             edge, off = self.b[own] - self.a[own], self.a[own] - a
             across = way[0] * edge[:, 1] - way[1] * edge[:, 0]

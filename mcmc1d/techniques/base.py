@@ -1,7 +1,9 @@
 """What a sampling technique is: a bijection between primary samples and (the sample, what the sample forgets)."""
 
 import abc
+import functools
 import math
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -103,11 +105,49 @@ def _snap(x: Scalar, lower: Any, upper: Any) -> Scalar:
     return limit(x, jnp.where(x < below, x, lower), jnp.where(x > above, x, upper))
 
 
+_MOST_SHAPES = 4096  # that are kept: with each goes what the technique holds beside its arrays
+
+
+def _once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function of a technique's structure, traced once for all that are alike but for the numbers in their arrays.
+
+    A technique in a mixture in a product would else be traced by each of them, in every method that asks for a shape.
+    What can not be hashed is traced anew.
+    """
+    known: dict[Any, Any] = {}
+
+    @functools.wraps(function)
+    def shapes(technique: Technique, *rest: Any) -> Any:
+        leaves, tree = jax.tree.flatten(technique)
+        arrays = tuple((leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf for leaf in leaves)
+        key = tree, arrays, rest, jax.dtypes.canonicalize_dtype(float)
+        try:
+            hash(key)
+        except TypeError:
+            return function(technique, *rest)
+        if key not in known:
+            found = function(technique, *rest)
+            if len(known) >= _MOST_SHAPES:
+                known.clear()
+            known[key] = found
+        return known[key]
+
+    return shapes
+
+
+@_once
+def _shapes(technique: Technique) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Those of x and v."""
+    x, v, _ = eqx.filter_eval_shape(technique.forward, _floats(technique.dim_u))
+    return np.shape(x), np.shape(v)
+
+
 def sample_shape(technique: Technique) -> tuple[int, ...]:
     """The shape of the technique's x: () for a scalar."""
-    return eqx.filter_eval_shape(technique.forward, _floats(technique.dim_u))[0].shape
+    return _shapes(technique)[0]
 
 
+@_once
 def checked_shape(technique: Technique, dtype: Any = None) -> tuple[int, ...]:
     """`sample_shape`; `ValueError` unless all that the technique returns has the shape that it should have.
 
@@ -157,8 +197,7 @@ def _returned(technique: Technique, method: str, given: tuple[Any, ...], **promi
 
 def dim_v(technique: Technique) -> int:
     """k, how many uniform numbers the technique's sample forgets."""
-    u = jax.ShapeDtypeStruct((technique.dim_u,), jnp.zeros(()).dtype)
-    return eqx.filter_eval_shape(technique.forward, u)[1].shape[0]
+    return _shapes(technique)[1][0]
 
 
 def within(x: Scalar, log_prob: Scalar, lower: Any = 0.0, upper: Any = 1.0) -> Scalar:
