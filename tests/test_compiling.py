@@ -31,7 +31,7 @@ def elementary(x, y):
     return parts
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 def test_wide_vectors_compute_what_narrow_ones_do(dtype):
     x, y = (np.random.default_rng(k).uniform(0.1, 3, 4099).astype(dtype) for k in (0, 1))
     with jax.enable_x64(dtype == np.float64):

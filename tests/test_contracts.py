@@ -15,7 +15,10 @@ MOVES = examples("mcmc1d.moves")
 TARGETS = {name: t for name, t in examples("mcmc1d.targets").items() if np.ndim(t.domain[0]) == 0}
 
 
-OF_MANY_PARTS = ("multiple_try_", "mixture_nested", "product_with_mixture", "compose_after_mixture", "planar_mixture")
+OF_MANY_PARTS = (
+    *("multiple_try", "moves.mixture", "exchange", "returning", "lopsided"),
+    *("mixture_", "planar_mixture", "product_with_mixture", "compose_after_mixture", "compose_three", "two_periods"),
+)
 """Beside a simpler one of their kind, and slow to differentiate."""
 
 

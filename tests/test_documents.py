@@ -62,11 +62,13 @@ def test_technique_skeleton_is_one_file(tmp_path):
         assert check_technique(technique, points=2000), name
 
 
+@pytest.mark.slow
 def test_move_skeleton_is_one_file(tmp_path):
     for name, move in module(tmp_path, "reverse", blocks("CONTRIBUTING.md")[1]).EXAMPLES.items():
         assert check_move(move, points=2000), name
 
 
+@pytest.mark.slow
 def test_mutant_skeleton_is_one_file(tmp_path):
     found = module(tmp_path, "at_walls", blocks("CONTRIBUTING.md")[3])
     for mutant in found.MUTANTS.values():

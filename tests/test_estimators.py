@@ -190,6 +190,7 @@ def test_sums_are_of_what_is_deposited():
         mcmc1d.run(jax.random.key(0), kernel, pooled(own), steps=1, estimators={"h": mcmc1d.Histogram(6)})
 
 
+@pytest.mark.slow
 def test_a_cycle_of_kernels_that_deposit_different_things_has_no_sums():
     """PSSMLT's small step deposits samples of f; the large step beside it, a plain one, deposits u."""
     mixed = mcmc1d.Cycle([PooledDeposit(moves.SmallStep(0.1)), moves.LargeStep()])

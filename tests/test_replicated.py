@@ -78,6 +78,7 @@ class Claimed(ReplicaDeposit):
         return True
 
 
+@pytest.mark.slow
 def test_verify_holds_its_deposits_to_f(shares):
     """Level 1e-5. Of wrong shares, 0.8 and 0.2 for 0.48 and 0.52, the deposits are caught, and nothing else."""
     assert verify.verify(ReplicaDeposit(SWAPPING, shares), replicated(PAIR), **OPTIONS).passed

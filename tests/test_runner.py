@@ -51,6 +51,7 @@ def test_deposits_of_a_step_weigh_one(move):
     assert np.allclose(step.deposits.weight.sum(1), 1, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_state_remembers_what_an_evaluation_finds():
     """After steps of every kind the cached evaluation is a fresh one's, to the rounding of float64 through a jump."""
     with jax.enable_x64(True):

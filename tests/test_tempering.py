@@ -149,6 +149,7 @@ def test_replicas_in_the_plane_are_points_end_to_end():
     assert verify(swap, pair, replicas=2**15).passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("other", "wrong"), [(0.1, True), (1.0, False)])
 def test_a_swap_in_the_plane_that_is_always_made_is_caught(other, wrong):
     """Between replicas at one temperature it is right. At level 1e-5."""
@@ -199,7 +200,7 @@ class Shift(Inversion):
         return jnp.where((x >= 0) & (x <= 1), 0.0, -jnp.inf)
 
 
-@pytest.mark.parametrize("combine", ["sum", "maximum"])
+@pytest.mark.parametrize("combine", [pytest.param("sum", marks=pytest.mark.slow), "maximum"])
 def test_pooled_deposits_are_exact_on_a_ring(combine):
     f = np.array([1, 3, 0.5, 2, 4.0])
     share = weights.FromFunction(lambda x, p: jnp.stack([0.2 + 0.6 * (x > 0.6), 0.8 - 0.6 * (x > 0.6)]))

@@ -263,6 +263,7 @@ def test_an_unbounded_density_is_refused_at_once(function, wide):
         mcmc1d.exact_start(jax.random.key(0), target, 10**5)
 
 
+@pytest.mark.slow
 def test_an_integral_that_is_infinite_is_refused():
     for function, interval in ((lambda x: 1 / x, r"\[0, 0.1\]"), (lambda x: 1 / jnp.abs(x - 0.3), r"\[0.\d, 0.\d\]")):
         with pytest.raises(ValueError, match=f"unbounded in {interval}, and its integral there is infinite"):

@@ -26,7 +26,7 @@ def test_a_momentum_from_another_law_is_told():
     assert any("init draws" in line for line in report.diagnosis)
 
 
-@pytest.mark.parametrize("length", [{"num_steps": 4}, {"trajectory_length": 1.2}])
+@pytest.mark.parametrize("length", [{"num_steps": 4}, pytest.param({"trajectory_length": 1.2}, marks=pytest.mark.slow)])
 def test_a_number_of_python_in_a_state(length):
     kernel = HMC(
         potential_fn=lambda x: 0.5 * jnp.sum(x * x),

@@ -329,6 +329,7 @@ def test_deposits_beyond_their_bound_are_refused():
         verify.verify(kernel, NORMAL, **SMALL)
 
 
+@pytest.mark.slow
 def test_deposits_of_random_total_are_right_if_their_expectation_is():
     """Weight 0 or 2 with equal probability: right. 0 or 1.9: caught."""
 

@@ -46,7 +46,7 @@ def couples(key, x):
 
 @pytest.mark.parametrize(
     ("kernel", "d"),
-    [(keeps_a_sign, 2), pytest.param(keeps_a_sign, 3, marks=pytest.mark.slow), (keeps_a_fifth_apart, 1)],
+    [*(pytest.param(keeps_a_sign, n, marks=pytest.mark.slow) for n in (2, 3)), (keeps_a_fifth_apart, 1)],
 )
 def test_a_kernel_that_never_gets_everywhere_does_not_pass(kernel, d):
     report = verify(kernel, normal(d), replicas=2**15)
@@ -116,8 +116,8 @@ def normal_tail(y):
     [
         (takes_a_magnitude(0, 2), 4),
         (takes_a_magnitude(0, 3), 4),
-        (takes_a_magnitude(0, 4), 8),
-        (takes_a_magnitude_of_two, 5),
+        pytest.param(takes_a_magnitude(0, 4), 8, marks=pytest.mark.slow),
+        pytest.param(takes_a_magnitude_of_two, 5, marks=pytest.mark.slow),
     ],
 )
 def test_a_coupling_through_magnitudes_is_seen_without_a_density(kernel, d):

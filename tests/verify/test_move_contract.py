@@ -61,6 +61,7 @@ def failures(move, target=None):
     return {f.equation: f for f in check_move(move, target, points=2000, dtypes=[np.float64]).failures}
 
 
+@pytest.mark.slow
 def test_a_sigmoid_is_differentiated_badly_at_its_end():
     assert check_move(LogitStep(), points=2000)
     assert any("autodiff" in equation for equation in failures(LogitStep(1.001)))

@@ -48,6 +48,7 @@ def test_a_right_kernel_keeps_the_exact_law(right):
     assert law.noise + law.grid < 2e-3
 
 
+@pytest.mark.slow
 def test_slivers_between_the_cells_of_u_and_of_x_are_no_traps():
     """The maximum heuristic makes cells with a point or two of the net, all of whose proposals are dark."""
     target = mcmc1d.Multiplexed(Sinusoid(0.9, 1.5, 0.1), (Tent(0.4), Ramp(1.2)), Maximum())

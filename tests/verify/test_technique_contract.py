@@ -154,6 +154,7 @@ def test_a_sample_outside_the_default_support_says_that_it_is_the_default():
     assert "v must be" not in failure.where
 
 
+@pytest.mark.slow
 def test_where_v_says_something_of_x_the_density_is_the_integral_over_v():
     report = check_technique(PriorLobeRight(lobes(0.3), lobes(0.3)), points=1000)
     assert report.raise_if_failed()
