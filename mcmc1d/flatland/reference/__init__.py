@@ -7,8 +7,8 @@ from mcmc1d.flatland.reference.closed import (
     irradiance_between,
     visible_intervals,
 )
+from mcmc1d.flatland.reference.exact import GLOSSY, LARGE, SMALL, Reference, converged, image
 from mcmc1d.flatland.reference.mesh import Resolution
-from mcmc1d.flatland.reference.transport import GLOSSY, LARGE, SMALL, Reference, converged, image
 
 __all__ = [
     "GLOSSY",

@@ -1,0 +1,75 @@
+"""Shapes are found by tracing, once for techniques that are alike, and never taken for those of another."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+import pytest
+
+from mcmc1d.techniques import Technique, Tent, Uniform, checked_shape, dim_v, sample_shape
+from mcmc1d.types import Array
+
+
+class _Own(Technique):
+    """x is the first `d` numbers of u, scaled; `seen` is told of every trace."""
+
+    scale: Array
+    seen: Callable[[], None] = eqx.field(static=True)
+    d: int = eqx.field(static=True, default=1)
+    extra: int = 0
+
+    @property
+    def dim_u(self):
+        return 3 + self.extra
+
+    def forward(self, u):
+        self.seen()
+        return self.scale * u[: self.d], u[self.d :], self.d * jnp.log(self.scale)
+
+    def inverse(self, x, v):
+        return jnp.concatenate([x / self.scale, v]), -self.d * jnp.log(self.scale)
+
+    def log_prob(self, x):
+        return -self.d * jnp.log(self.scale)
+
+
+class _Count:
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self):
+        self.calls += 1
+
+
+def test_techniques_that_differ_in_numbers_alone_are_traced_once():
+    seen = _Count()
+    for scale in (0.5, 0.7, 0.9):
+        technique = _Own(jnp.float32(scale), seen)
+        assert (sample_shape(technique), dim_v(technique)) == ((1,), 2)
+    assert seen.calls == 1
+
+
+@pytest.mark.parametrize("changed", [{"d": 2}, {"extra": 1}, {"d": 3, "extra": 2}])
+def test_what_is_no_array_tells_two_apart(changed):
+    seen = _Count()
+    one, other = _Own(jnp.float32(0.5), seen), _Own(jnp.float32(0.5), seen, **changed)
+    d, m = changed.get("d", 1), 3 + changed.get("extra", 0)
+    assert (sample_shape(one), dim_v(one)) == ((1,), 2)
+    assert (sample_shape(other), dim_v(other)) == ((d,), m - d)
+
+
+def test_what_can_not_be_hashed_is_traced_anew():
+    class Table(Uniform):
+        table: list[float] = eqx.field(static=True)
+
+    assert sample_shape(Table([0.0])) == sample_shape(Table([1.0, 2.0])) == ()
+
+
+def test_a_mistake_is_told_each_time():
+    class Wrong(Tent):
+        def forward(self, u):
+            return u[0], u, jnp.zeros(())
+
+    for _ in range(2):
+        with pytest.raises(ValueError, match="Wrong"):
+            checked_shape(Wrong())
