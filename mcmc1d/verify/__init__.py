@@ -7,12 +7,13 @@ from mcmc1d.verify.efficiency import Efficiency, efficiency
 from mcmc1d.verify.engine import verify
 from mcmc1d.verify.finite import Enumeration, RingStep, enumerate_kernel, ring
 from mcmc1d.verify.kernels import HostKernel, JaxKernel
-from mcmc1d.verify.law import Continuous, Discrete, Law, LawError
+from mcmc1d.verify.law import Law, LawError
 from mcmc1d.verify.ledger import Ledger, Scheme
 from mcmc1d.verify.move import check_move, hard_target
 from mcmc1d.verify.net import DepositLaw, deposit_law
 from mcmc1d.verify.operator import Operator, step_operator, transition_operator
 from mcmc1d.verify.report import Report, Result, Verdict, VerificationError
+from mcmc1d.verify.statistic import Continuous, Discrete
 from mcmc1d.verify.technique import check_technique
 
 __all__ = [

@@ -13,8 +13,9 @@ from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import Move
 from mcmc1d.state import Multiplexed
 from mcmc1d.verify.kernels import HostKernel, HostSubject, JaxKernel, JaxSubject
-from mcmc1d.verify.law import Law, Position
+from mcmc1d.verify.law import Law
 from mcmc1d.verify.library import LibrarySubject
+from mcmc1d.verify.statistic import Position
 from mcmc1d.verify.subject import Look, Subject
 
 

@@ -21,7 +21,7 @@ from mcmc1d.verify.goodness import (
     smallest_gap,
     smallest_two_sample_gap,
 )
-from mcmc1d.verify.law import Continuous, Discrete, Position
+from mcmc1d.verify.statistic import Continuous, Discrete, Position
 from mcmc1d.verify.subject import Look
 
 # The CDF of a continuous statistic is looked up at so many equal steps of probability: what lies between them and is

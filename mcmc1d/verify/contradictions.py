@@ -9,8 +9,9 @@ from mcmc1d.checks import require
 from mcmc1d.verify.battery import Test, coordinates
 from mcmc1d.verify.ends import varies
 from mcmc1d.verify.forgetting import point
-from mcmc1d.verify.law import Law, LawError, Position
+from mcmc1d.verify.law import Law, LawError
 from mcmc1d.verify.sampler import Tally
+from mcmc1d.verify.statistic import Position
 
 _ATOM = 16  # draws that are one number: of a continuous law in float32 there are two or three
 _ROUNDED = 0.01  # of the draws, which may lie where the density rounds to zero

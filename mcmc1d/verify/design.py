@@ -10,11 +10,13 @@ import numpy as np
 
 from mcmc1d.checks import require
 from mcmc1d.verify.battery import POOLED, OneSample, Test, TwoSample, coordinates, evaluate
+from mcmc1d.verify.bins import Bins
 from mcmc1d.verify.ends import cell_ends, inner_ends, varies
 from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.exchangeability import Crossed, Exchangeable
 from mcmc1d.verify.forgetting import Partition
-from mcmc1d.verify.law import Bins, Continuous, Law, Position, Statistic
+from mcmc1d.verify.law import Law
+from mcmc1d.verify.statistic import Continuous, Position, Statistic
 from mcmc1d.verify.subject import Look
 
 _CUTS = 64

@@ -6,8 +6,8 @@ import numpy as np
 
 from mcmc1d.metropolis import Cycle
 from mcmc1d.verify.goodness import sign_p_value
-from mcmc1d.verify.law import Position
 from mcmc1d.verify.library import LibrarySubject
+from mcmc1d.verify.statistic import Position
 
 _CELLS = 8
 

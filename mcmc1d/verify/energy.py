@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require, traced
-from mcmc1d.verify.law import Law, Position
+from mcmc1d.verify.law import Law
+from mcmc1d.verify.statistic import Position
 
 _ROWS = 4096  # that are evaluated at once: of every new number a program would be compiled
 _WALL = 1e-6  # of the way to the median, within which of a wall a number is at it

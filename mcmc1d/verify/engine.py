@@ -9,10 +9,11 @@ import numpy as np
 
 from mcmc1d.checks import require
 from mcmc1d.verify.adapters import as_subject
-from mcmc1d.verify.law import Statistic, as_law
+from mcmc1d.verify.law import as_law
 from mcmc1d.verify.ledger import Ledger, Scheme
 from mcmc1d.verify.report import Report
 from mcmc1d.verify.sampler import Sampler, entropy
+from mcmc1d.verify.statistic import Statistic
 from mcmc1d.verify.trial import Trial
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from mcmc1d.verify.battery import Replicas, Test
 from mcmc1d.verify.goodness import sign_p_value
-from mcmc1d.verify.law import Position
+from mcmc1d.verify.statistic import Position
 
 
 @dataclass(frozen=True)

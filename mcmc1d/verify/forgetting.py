@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordinates
-from mcmc1d.verify.law import Position
+from mcmc1d.verify.statistic import Position
 from mcmc1d.verify.subject import Look, Subject
 
 REPLICAS = 8192

@@ -11,7 +11,7 @@ import numpy as np
 from mcmc1d.checks import UNTRACEABLE, require
 from mcmc1d.compiling import quickly, traced_once, wide_jit
 from mcmc1d.types import Array, Key
-from mcmc1d.verify.law import Position
+from mcmc1d.verify.statistic import Position
 from mcmc1d.verify.subject import PICK, Look, Subject, drawn, key_of, pick
 
 _FEW = 16  # positions on which init is tried

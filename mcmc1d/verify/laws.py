@@ -13,7 +13,8 @@ import numpy as np
 from scipy.special import ndtr
 from scipy.stats import gamma
 
-from mcmc1d.verify.law import Continuous, Discrete, Law, Position
+from mcmc1d.verify.law import Law
+from mcmc1d.verify.statistic import Continuous, Discrete, Position
 
 
 def two_modes() -> Law:

@@ -13,7 +13,8 @@ from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Key
-from mcmc1d.verify.law import Position, multiplexed_law, positions
+from mcmc1d.verify.law import multiplexed_law, positions
+from mcmc1d.verify.statistic import Position
 from mcmc1d.verify.subject import PICK, Look, Subject, drawn, key_of, pick
 
 

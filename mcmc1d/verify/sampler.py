@@ -15,7 +15,8 @@ from mcmc1d.verify.battery import OneSample, Replicas, Test, TwoSample, coordina
 from mcmc1d.verify.ends import varies
 from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.forgetting import point
-from mcmc1d.verify.law import Law, LawError, Position
+from mcmc1d.verify.law import Law, LawError
+from mcmc1d.verify.statistic import Position
 from mcmc1d.verify.subject import Look, Subject
 
 _CHUNK = 2**16  # the most replicas that are drawn, run and counted at once

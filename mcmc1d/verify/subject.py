@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.types import Array, Key
-from mcmc1d.verify.law import Position, Statistic
+from mcmc1d.verify.statistic import Position, Statistic
 
 PICK = 2**30
 """The counter from which on a replica's random numbers pick deposits, not steps."""

@@ -15,12 +15,12 @@ from mcmc1d.verify.design import design, main_coordinates, partitions, unseen
 from mcmc1d.verify.diagnose import diagnose
 from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
-from mcmc1d.verify.law import Position
 from mcmc1d.verify.ledger import Scheme
 from mcmc1d.verify.library import LibrarySubject
 from mcmc1d.verify.power import LEAST, Power
 from mcmc1d.verify.report import Report, Result, Verdict
 from mcmc1d.verify.sampler import Sampler, Tally, slack
+from mcmc1d.verify.statistic import Position
 
 AIM = 0.005
 """The CDF gap that is aimed at unless one is asked for."""

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.types import Array, Key
-from mcmc1d.verify.law import Discrete, Law
+from mcmc1d.verify.law import Law
 from mcmc1d.verify.laws import correlated, switch
 from mcmc1d.verify.mutants import Mutant, Trap
+from mcmc1d.verify.statistic import Discrete
 
 _STATES = 4
 
