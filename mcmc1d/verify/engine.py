@@ -15,6 +15,7 @@ from mcmc1d.verify.report import Report
 from mcmc1d.verify.sampler import Sampler, entropy
 from mcmc1d.verify.statistic import Statistic
 from mcmc1d.verify.trial import Trial
+from mcmc1d.verify.verdict import concluded
 
 
 def verify(
@@ -104,4 +105,4 @@ def verify(
     trial.prepare()
     trial.size(gap, seconds, replicas)
     trial.decide(ergodic)
-    return trial.report(name, seed, gap, time.perf_counter() - began)
+    return concluded(trial, name, seed, gap, time.perf_counter() - began)

@@ -1,4 +1,4 @@
-"""One verification on its way: how many replicas, all stages, whether it moves and forgets, and what to report."""
+"""One verification on its way: how many replicas, all stages, whether it moves and forgets."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,21 +11,16 @@ from scipy.stats import binom
 from mcmc1d.checks import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
 from mcmc1d.verify.contradictions import require_alike, require_cells, require_density, require_fit, require_random
-from mcmc1d.verify.design import design, main_coordinates, partitions, unseen
-from mcmc1d.verify.diagnose import diagnose
+from mcmc1d.verify.design import design, main_coordinates, partitions
 from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
 from mcmc1d.verify.ledger import Scheme
-from mcmc1d.verify.library import LibrarySubject
 from mcmc1d.verify.power import LEAST, Power
-from mcmc1d.verify.report import Report, Result, Verdict
 from mcmc1d.verify.sampler import Sampler, Tally, slack
 from mcmc1d.verify.statistic import Position
 
 AIM = 0.005
 """The CDF gap that is aimed at unless one is asked for."""
-SETTLE = 0.05
-"""The gap up to which a slow kernel may still PASS, where none was asked for."""
 _LOOKS = 16  # the early look is at this fraction of the first stage
 _RATE = 0.01  # a kernel that moves more often than that does not fail for never having moved
 _MORE = 2**22  # of the law's own draws, at most, and eight times the replicas
@@ -274,89 +269,3 @@ class Trial:
         if bad is None:
             return points
         return jax.tree.map(lambda a, b: np.concatenate([np.asarray(b, a.dtype)[None], a]), points, bad)
-
-    def report(self, name: str, seed: int, gap: float | None, seconds: float) -> Report:
-        """The verdict and all that it rests on."""
-        bought = self.power.gap(self.n, self.grow)
-        limit = SETTLE if gap is None else gap
-        if not self.reasons and limit * (1 + 1e-9) < bought:
-            self.inconclusive.append(
-                f"a gap of {limit:g} with probability {self.sure:g} is out of reach: {self.n} replicas detect "
-                f"{bought:.2g}; allow more seconds= or replicas=, or a larger gap="
-            )
-        verdict = Verdict.FAIL if self.reasons else Verdict.INCONCLUSIVE if self.inconclusive else Verdict.PASS
-        values = self.p_values(self.deciding)
-        threshold = self.scheme.beta(max(self.stages, 1)) / len(self.keys)
-        results = []
-        for (t, k), p in values.items():
-            test, counts = self.tests[k], self.deciding.counts[t, k]
-            curve = test.curve(counts)
-            results.append(
-                Result(
-                    layer="law" if t == 0 else test.layer,
-                    name=test.name,
-                    steps=t,
-                    p_value=p,
-                    gap=self.power.detectable(test, self.n, self.grow),
-                    where=test.worst(counts, 5) if p <= threshold else [],
-                    curve=None if curve is None else [float(c) for c in curve],
-                    residuals=[float(r) for r in test.residuals(counts)] if isinstance(test, OneSample) else None,
-                )
-            )
-        diagnosis: list[str] = []
-        sampler, subject = self.sampler, self.sampler.subject
-        if verdict is Verdict.FAIL and isinstance(subject, LibrarySubject) and self.deciding.counts:
-            diagnosis = diagnose(subject, sampler.words("one step"), sampler.draw("diagnosis", 0, 0, 2**17))
-        if verdict is Verdict.FAIL and subject.drawn(self.unlikely):
-            diagnosis.append(
-                "init draws a part of the state: from another law than its own (a momentum of another scale), a right "
-                "kernel fails too"
-            )
-        if verdict is Verdict.FAIL and subject.alike(self.unlikely):
-            diagnosis.append(
-                "chains at one place all move alike: where they share a random number, no p-value holds; draw one for "
-                "each, of size=len(x)"
-            )
-        balance = "detailed balance: reversible=True declares it, and sees much smaller mistakes"
-        untested = [] if subject.reversible else [balance]
-        reached, looked = self.forgotten.steps or 0, max(sampler.steps)
-        if reached > looked:
-            untested.append(
-                f"the law that it has after more than {looked} steps: it takes some {reached} to reach its own, which "
-                f"may be further off than this gap; steps=(1, {reached}) looks there"
-            )
-        return Report(
-            untested=untested + unseen(sampler.law, self.unlikely, self.tests),
-            name=name,
-            kernel=subject.name,
-            law=sampler.law.name,
-            verdict=verdict,
-            reasons=self.reasons or self.inconclusive,
-            level=self.scheme.level,
-            threshold=threshold,
-            p_value=self.p_value,
-            stages=self.stages,
-            replicas=self.replicas,
-            first_replicas=self.n,
-            gap=bought,
-            gap_in=self.power.gap_in,
-            power=self.sure,
-            moved=self.deciding.moved / max(self.deciding.n, 1),
-            forgotten=self.forgotten.steps,
-            forgotten_within=self.forgotten.within,
-            resolution=max((test.resolution for test in self.power.headline), default=0.0),
-            reversible=bool(subject.reversible),
-            first_stage={
-                f"{test.layer}: {test.name} after {t}": test.p_value(self.first.counts[t, k])
-                for (t, k) in self.keys
-                for test in [self.tests[k]]
-                if (t, k) in self.first.counts
-            },
-            deciding_replicas=self.deciding.n,
-            seed=seed,
-            seconds=seconds,
-            steps=sampler.steps,
-            tests=len(self.keys),
-            results=results,
-            diagnosis=diagnosis,
-        )
