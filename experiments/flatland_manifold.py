@@ -49,7 +49,7 @@ class Config:
     large: float = 0.1
     manifold: float = 0.25
     """The share of manifold steps, where they are mixed in."""
-    runs: int = 64
+    runs: int = 128
     """Of one chain for each path length."""
     budgets: str = "4096 16384"
     """Rays of a run, of each length."""

@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from rich.box import SIMPLE
 from rich.table import Table
 
@@ -73,6 +74,7 @@ def draw(data: xr.Dataset) -> Figure:
             (*seen, ~np.any(seen, axis=0)), ("C4", "C5", "0.8"), ("gloss only", "no gloss", "both"), strict=True
         ):
             row[0].bar(pixel[mine], truth[mine], 0.9, color=color, label=label)
+        row[0].xaxis.set_major_locator(MaxNLocator(integer=True))
         row[0].set(ylabel=f"{here.scene.item()}\nradiance", ylim=(0, 1.25 * float(truth.max())))  # room for the legend
         row[0].legend(
             loc="upper left", title="what a pixel sees", title_fontsize=6, alignment="left", ncols=3, columnspacing=1.0

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from experiments import flatland_images
 from experiments.support import flatland_sharp
 from mcmc1d.flatland.integrators import INTEGRATORS
 from mcmc1d.flatland.scenes import scene
@@ -59,3 +60,24 @@ def test_all_the_work_there_is_ends_it(looks):
     taken = looks(lambda samples: 1.0, work=5_000_000)
     assert len(taken) == 3
     assert taken[-1] == pytest.approx(5_000_000 / 3 / len(scene("box").segments), rel=1e-3)
+
+
+def _row(monkeypatch, message):
+    def sharp(*_):
+        raise ValueError(message)
+
+    monkeypatch.setattr(flatland_images, "sharp", sharp)
+    dark = [[0.0] * 4] * 2
+    return flatland_images.held("box", "multi_stage", 2, 4, 4, 0.1, 10, 0, 1e-6, dark, dark)
+
+
+def test_an_image_that_chains_can_not_start_has_no_bound(monkeypatch):
+    why = "exact_starts: 487 of 262144 states after 4194304 candidates, because the density reaches 49 in a narrow peak"
+    row = _row(monkeypatch, why)
+    assert np.isposinf(row["detectable"])
+    assert row["blind"] == 0
+
+
+def test_another_error_is_no_dull_image(monkeypatch):
+    with pytest.raises(ValueError, match="something else"):
+        _row(monkeypatch, "something else")

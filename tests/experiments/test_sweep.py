@@ -186,6 +186,14 @@ def test_a_long_run_inside_of_a_point_goes_on_where_it_was(tmp_path, monkeypatch
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("saved", [False, True])
+def test_only_a_run_that_is_to_be_saved_leaves_a_file(tmp_path, saved):
+    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Tent())
+    with long.at(str(tmp_path / "part"), quiet):
+        long_run("one", jax.random.key(0), moves.SmallStep(), target, steps=2, chains=8, saved=saved)
+    assert len(list(tmp_path.iterdir())) == saved
+
+
 def test_checkpoints_whose_journal_was_deleted_are_not_taken_up(tmp_path):
     path = tmp_path / ".long.journal"
     Path(f"{path}.0123.first").write_bytes(b"of another time")
