@@ -49,7 +49,7 @@ class Config:
     large: float = 0.1
     manifold: float = 0.25
     """The share of manifold steps, where they are mixed in."""
-    runs: int = 128
+    runs: int = 256
     """Of one chain for each path length."""
     budgets: str = "4096 16384"
     """Rays of a run, of each length."""
@@ -57,7 +57,7 @@ class Config:
 
 PROFILES = {
     "quick": Config(),
-    "paper": Config(shortest=3, longest=6, runs=256, budgets="4096 16384 65536"),
+    "paper": Config(shortest=3, longest=6, runs=512, budgets="4096 16384 65536"),
 }
 
 METHODS = ("MMLT", "MMLT, manifold", "MLT", "MLT, manifold")
