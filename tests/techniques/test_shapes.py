@@ -58,6 +58,13 @@ def test_what_is_no_array_tells_two_apart(changed):
     assert (sample_shape(other), dim_v(other)) == ((d,), m - d)
 
 
+def test_arrays_of_other_shapes_tell_two_apart():
+    seen = _Count()
+    shapes = [sample_shape(_Own(jnp.full(n, 0.5), seen, d=n)) for n in (1, 2)]
+    widened = sample_shape(_Own(jnp.full(3, 0.5), seen))  # of what u[0] is multiplied by
+    assert (shapes, widened) == ([(1,), (2,)], (3,))
+
+
 def test_what_can_not_be_hashed_is_traced_anew():
     class Table(Uniform):
         table: list[float] = eqx.field(static=True)
