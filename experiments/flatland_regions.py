@@ -50,7 +50,7 @@ COMPARABLE = 1.5
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
-    """Every integrator on every scene and path length, part by part."""
+    """The three on every scene and path length, part by part."""
     names, lengths = config.scenes.split(), range(config.shortest, config.longest + 1)
     points = [(name, k, asdict(config), seed) for name in names for k in lengths]
     found = progress.map("scenes and lengths", measure, points)
@@ -85,7 +85,7 @@ def draw(data: xr.Dataset) -> Figure:
     for panel, label in zip(axes[-1], ("pixel", "rays", "rays"), strict=True):
         panel.set_xlabel(label)
     handles, labels = axes[0, 1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=8)
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(INTEGRATORS))
     return figure
 
 

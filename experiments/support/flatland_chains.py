@@ -152,7 +152,7 @@ class Lit(Estimator):
 
 
 _WORTH_SAVING = 2**22
-"""Mutations: fewer take less time than to describe their program does."""
+"""Mutations: fewer take some seconds (MMLT) to ten (MLT), and to describe their program one or several."""
 
 
 class Films(NamedTuple):

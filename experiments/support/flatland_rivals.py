@@ -64,6 +64,10 @@ class Rivals:
     """Of `INTEGRATORS`, in their order; BDPT is one, for it says what each technique contributes."""
 
     def __post_init__(self):
+        in_order = self.who == tuple(who for who in INTEGRATORS if who in self.who)
+        require(
+            in_order and "BDPT" in self.who, f"integrators are some of {INTEGRATORS} in this order, BDPT among them"
+        )
         require(self.samples % self.runs == 0, f"samples, {self.samples}, are a multiple of runs, {self.runs}")
 
     @property

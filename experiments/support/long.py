@@ -13,7 +13,7 @@ Show = Callable[[str, int, int], None]
 """Called with a stage's name, the work done in it and the work in all."""
 
 SECONDS = 20.0
-"""Between two checkpoints; what a kill takes at most."""
+"""Between two checkpoints; what a kill takes at most of a run that is saved."""
 
 
 class _Here(NamedTuple):

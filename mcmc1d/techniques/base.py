@@ -105,55 +105,64 @@ def _snap(x: Scalar, lower: Any, upper: Any) -> Scalar:
     return limit(x, jnp.where(x < below, x, lower), jnp.where(x > above, x, upper))
 
 
-_MOST_SHAPES = 4096  # that are kept: with each goes what the technique holds beside its arrays
+_MOST_SHAPES = 256  # that are kept: with each goes what the technique holds beside its arrays
 
 
-def _once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function of a technique's structure, traced once for all that are alike but for the numbers in their arrays.
+def _once(function: Callable[[Technique, Any], Any]) -> Callable[[Technique, Any], Any]:
+    """The function of a technique's structure and a dtype, traced once for all that are alike but for their numbers.
 
     A technique in a mixture in a product would else be traced by each of them, in every method that asks for a shape.
-    What can not be hashed is traced anew.
+    What can not be compared is traced anew.
     """
     known: dict[Any, Any] = {}
 
     @functools.wraps(function)
-    def shapes(technique: Technique, *rest: Any) -> Any:
+    def shapes(technique: Technique, dtype: Any) -> Any:
         leaves, tree = jax.tree.flatten(technique)
-        arrays = tuple((leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf for leaf in leaves)
-        key = tree, arrays, rest, jax.dtypes.canonicalize_dtype(float)
+        alike = tuple((leaf.shape, leaf.dtype) if _is_traced(leaf) else leaf for leaf in leaves)
+        key = tree, alike, technique.dim_u, dtype, jax.dtypes.canonicalize_dtype(float)
         try:
-            hash(key)
-        except TypeError:
-            return function(technique, *rest)
-        if key not in known:
-            found = function(technique, *rest)
+            found = known.get(key)
+        except (TypeError, ValueError):
+            return function(technique, dtype)
+        if found is None:
+            found = function(technique, dtype)
             if len(known) >= _MOST_SHAPES:
-                known.clear()
+                known.pop(next(iter(known)), None)
             known[key] = found
-        return known[key]
+        return found
 
     return shapes
 
 
+def _is_traced(leaf: Any) -> bool:
+    """Whether `filter_eval_shape` looks at its shape alone."""
+    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+
+
 @_once
-def _shapes(technique: Technique) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _shapes(technique: Technique, dtype: Any) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Those of x and v."""
-    x, v, _ = eqx.filter_eval_shape(technique.forward, _floats(technique.dim_u))
+    x, v, _ = eqx.filter_eval_shape(technique.forward, _floats(technique.dim_u, dtype=dtype))
     return np.shape(x), np.shape(v)
 
 
 def sample_shape(technique: Technique) -> tuple[int, ...]:
     """The shape of the technique's x: () for a scalar."""
-    return _shapes(technique)[0]
+    return _shapes(technique, None)[0]
 
 
-@_once
 def checked_shape(technique: Technique, dtype: Any = None) -> tuple[int, ...]:
     """`sample_shape`; `ValueError` unless all that the technique returns has the shape that it should have.
 
     Nothing is computed; `dtype` is that of u and x, JAX's default unless given. Without this a (1,) in place of a ()
     would broadcast, and be wrong silently.
     """
+    return _checked(technique, dtype)
+
+
+@_once
+def _checked(technique: Technique, dtype: Any) -> tuple[int, ...]:
     m = technique.dim_u
     x, v = _returned(technique, "forward", (_floats(m, dtype=dtype),), x=None, v=None, log_det=())[:2]
     d = math.prod(np.shape(x))
@@ -197,7 +206,7 @@ def _returned(technique: Technique, method: str, given: tuple[Any, ...], **promi
 
 def dim_v(technique: Technique) -> int:
     """k, how many uniform numbers the technique's sample forgets."""
-    return _shapes(technique)[1][0]
+    return _shapes(technique, None)[1][0]
 
 
 def within(x: Scalar, log_prob: Scalar, lower: Any = 0.0, upper: Any = 1.0) -> Scalar:

@@ -1,12 +1,14 @@
 """Shapes are found by tracing, once for techniques that are alike, and never taken for those of another."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from mcmc1d.techniques import Technique, Tent, Uniform, checked_shape, dim_v, sample_shape
+from mcmc1d.techniques import Technique, Tent, checked_shape, dim_v, sample_shape
 from mcmc1d.types import Array
 
 
@@ -65,11 +67,49 @@ def test_arrays_of_other_shapes_tell_two_apart():
     assert (shapes, widened) == ([(1,), (2,)], (3,))
 
 
-def test_what_can_not_be_hashed_is_traced_anew():
-    class Table(Uniform):
-        table: list[float] = eqx.field(static=True)
+class _Held(_Own):
+    held: Any = eqx.field(static=True, default=None)
 
-    assert sample_shape(Table([0.0])) == sample_shape(Table([1.0, 2.0])) == ()
+
+def test_what_is_alike_beside_the_arrays_is_one():
+    seen = _Count()
+    for held in ([0.0], [0.0], [1.0]):
+        assert sample_shape(_Held(jnp.float32(0.5), seen, held=held)) == (1,)
+    assert seen.calls == 2
+
+
+class _AsMany(Technique):
+    """It reads as many numbers as an array says."""
+
+    n: np.ndarray
+
+    @property
+    def dim_u(self):
+        return int(self.n)
+
+    def forward(self, u):
+        return u, u[:0], jnp.zeros(())
+
+    def inverse(self, x, v):
+        return x, jnp.zeros(())
+
+    def log_prob(self, x):
+        return jnp.zeros(())
+
+
+def test_a_number_in_an_array_may_be_the_dimension():
+    assert [sample_shape(_AsMany(np.array(n))) for n in (1, 2)] == [(1,), (2,)]
+
+
+def test_a_type_in_a_field_is_no_array():
+    class Typed(Tent):
+        of: Any = jnp.float32
+
+    assert sample_shape(Typed()) == ()
+
+
+def test_the_dtype_can_be_named():
+    assert checked_shape(Tent(), dtype=jnp.float32) == ()
 
 
 def test_a_mistake_is_told_each_time():
