@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from mcmc1d.checks import require, require_whole
+from mcmc1d.compiling import wide_jit
 from mcmc1d.numerics import below_one
 from mcmc1d.types import Array, Float, Index, Int, UInt32
 
@@ -119,10 +120,14 @@ def sobol(dim: int, log2_points: int, rng: np.random.Generator) -> np.ndarray:
     return np.stack([pairs[0][0], *(a ^ b for a, b in pairs)]).astype(np.uint32)
 
 
+@wide_jit
 def net_points(
     words: UInt32[Array, "b dim"], first: UInt32[Array, ""], count: int, dtype: Any
 ) -> Float[Array, "dim n"]:
-    """`count` points of the net from number `first` on, strictly inside the unit cube."""
+    """`count` points of the net from number `first` on, strictly inside the unit cube.
+
+    A program of its own: fused with a long one, a point's bits would be made anew wherever a number is used.
+    """
     counters = first + jnp.arange(count, dtype=jnp.uint32)
     points = jnp.broadcast_to(words[0][:, None], (words.shape[1], count))
     for j in range(words.shape[0] - 1):

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from mcmc1d.checks import require, require_mass
 from mcmc1d.compiling import wide_jit
 from mcmc1d.numerics import cast
-from mcmc1d.types import Array, Float, UInt32
+from mcmc1d.types import Array, Float, Index, UInt32
 from mcmc1d.verify.cells import Cells, net_points, number, regular, require_nets, sobol
 from mcmc1d.verify.outcomes import KernelFlux, StepFlux
 from mcmc1d.verify.sparse import Matrix
@@ -54,20 +54,31 @@ class Flux:
 
 
 @wide_jit
-def _batch(flux: Any, words: UInt32[Array, "b dim"], edges: Any, first: Any, index: Any, static: Any) -> Any:
-    """One batch of the net: places and coarse places of the start and each outcome, (1 + outcomes, n), and the rest."""
-    count, counts, dtype = static
-    points = net_points(words, first, count, dtype)
+def _batch(
+    flux: KernelFlux | StepFlux,
+    points: Float[Array, "dim n"],
+    shift: UInt32[Array, ""],
+    first: UInt32[Array, ""],
+    index: Index,
+    edges: tuple[Float[Array, " _"], ...],
+    counts: tuple[int, ...],
+) -> Any:
+    """One batch of the net: cells and coarse cells of the start and each outcome, a list of (n,) each, and the rest.
+
+    Lists, not stacks: what XLA's CPU compiler fuses into a concatenation it computes point by point, twenty times
+    slower.
+    """
     # The shift, which differs from scramble to scramble, and the counter: a key for what draws its own numbers.
-    counters = jnp.stack([words[0, :1] + jnp.zeros(count, jnp.uint32), first + jnp.arange(count, dtype=jnp.uint32)], 1)
+    counter = first + jnp.arange(points.shape[1], dtype=jnp.uint32)
+    counters = jnp.stack([jnp.full_like(counter, shift), counter], 1)
 
     def one(numbers: Float[Array, " dim"], counter: UInt32[Array, " 2"]) -> Any:
         out = flux(index, numbers, counter)
         places = [(s.index, flux.coordinates(s)) for s in (out.start, *out.ends)]
-        cells = jnp.stack([number(edges, counts, i, q) for i, q in places])
-        rough = jnp.stack([i * COARSE + jnp.clip((q[0] * COARSE).astype(jnp.int32), 0, COARSE - 1) for i, q in places])
-        weights = out.weight * jnp.stack([jnp.asarray(p) for p in out.probabilities])
-        kinds = jnp.stack([jnp.asarray(k) for k in out.kinds])
+        cells = [number(edges, counts, i, q) for i, q in places]
+        rough = [i * COARSE + jnp.clip((q[0] * COARSE).astype(jnp.int32), 0, COARSE - 1) for i, q in places]
+        weights = [out.weight * p for p in out.probabilities]
+        kinds = [jnp.asarray(k) for k in out.kinds]
         return cells, rough, weights, kinds, out.weight, flux.sample(out.start)
 
     return jax.vmap(one, in_axes=(-1, 0), out_axes=-1)(points, counters)
@@ -87,7 +98,8 @@ class _Sums:
 
     def add(self, out: Any, allowed: np.ndarray | None, keep: bool, reference: bool) -> None:
         """Add a batch, only its starts in the `allowed` cells; `reference`: from the target's own law."""
-        places, rough, weights, kinds, start, x = (np.asarray(part) for part in out)
+        places, rough, weights, kinds = (np.stack([np.asarray(one) for one in part]) for part in out[:4])
+        start, x = (np.asarray(part) for part in out[4:])
         weights, start, x = weights.astype(np.float64), start.astype(np.float64), np.moveaxis(x, -1, 0)
         if allowed is not None:
             weights, start = weights * allowed[places[0]], start * allowed[places[0]]
@@ -162,8 +174,9 @@ def measure(
             for index in range(n_index):
                 words = jnp.asarray(sobol(each.dim, log2, np.random.default_rng([seed, r, index, each.lead])))
                 for first in range(0, count, batch):
-                    at = (jnp.uint32(first), jnp.int32(index), (batch, counts, dtype))
-                    total.add(_batch(each, words, edges, *at), allowed, first == 0, each.lead == 0)
+                    net = net_points(words, jnp.uint32(first), batch, dtype)
+                    at = (words[0, 0], jnp.uint32(first), jnp.int32(index))
+                    total.add(_batch(each, net, *at, edges, counts), allowed, first == 0, each.lead == 0)
     return _gather(cells, sums, flux.kinds)
 
 

@@ -13,7 +13,7 @@ from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.types import Array, Float, Index, UInt32
+from mcmc1d.types import Array, Float, Index
 from mcmc1d.verify.cells import net_points, require_nets, sobol
 
 _BATCH = 2**14
@@ -60,7 +60,8 @@ def deposit_law(
             rng = np.random.default_rng([seed, r, index])
             words = jnp.asarray(sobol(target.dim_u + kernel.dim_w(target), log2, rng))
             for first in range(0, points, batch):
-                out = _sums(*fitted, words, jnp.uint32(first), jnp.int32(index), jnp.asarray(edges, dtype), batch)
+                net = net_points(words, jnp.uint32(first), batch, dtype)
+                out = _sums(*fitted, net, jnp.int32(index), jnp.asarray(edges, dtype))
                 total, mass = total + np.asarray(out[0], np.float64), mass + float(out[1])
         found.append(total / require_mass(mass, "deposit_law", type(of).__name__))
     each = np.stack(found)
@@ -71,11 +72,9 @@ def deposit_law(
 def _sums(
     kernel: Kernel,
     target: Multiplexed,
-    words: UInt32[Array, "b dim"],
-    first: UInt32[Array, ""],
+    points: Float[Array, "dim n"],
     index: Index,
     edges: Float[Array, " n"],
-    count: int,
 ) -> Any:
     """The weight deposited on each bin from one batch of the net, and the weight of its starts."""
     m, bins = target.dim_u, edges.shape[0] - 1
@@ -88,7 +87,7 @@ def _sums(
         weight = jnp.where(start > 0, start * deposits.weight, 0)
         return place, weight, start
 
-    places, weights, starts = jax.vmap(one, in_axes=-1)(net_points(words, first, count, edges.dtype))
+    places, weights, starts = jax.vmap(one, in_axes=-1)(points)
     return jnp.zeros(bins, edges.dtype).at[places.ravel()].add(weights.ravel()), starts.sum()
 
 

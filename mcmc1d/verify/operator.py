@@ -76,7 +76,7 @@ Function = Callable[[np.ndarray], np.ndarray]
 """A function g of x, called with many points at once; in several dimensions x has a trailing axis."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Operator:
     """The flux F_ab of mass from cell a to cell b in one step from the target's law, and P = F / row sums.
 
@@ -87,6 +87,9 @@ class Operator:
     """
 
     flux: Flux
+
+    def __repr__(self) -> str:
+        return f"<Operator on {len(self.flux.cells.used)} cells, of the moves {', '.join(self.flux.kinds)}>"
 
     @cached_property
     def mean_flux(self) -> Matrix:
