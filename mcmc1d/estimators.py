@@ -85,7 +85,8 @@ def add_deposits(
 
     def add(sums: Array, deposit: Deposits) -> tuple[Array, None]:
         where = (deposit.index, place(deposit.x)) if joint else (place(deposit.x),)
-        return sums.at[where].add(deposit.weight.astype(sums.dtype), mode="promise_in_bounds"), None
+        weight = deposit.weight.astype(sums.dtype)
+        return sums.at[where].add(weight, mode="promise_in_bounds", wrap_negative_indices=False), None
 
     # Of two states or a few candidates no loop is left, of hundreds a short one: compiling must not grow with them.
     return jax.lax.scan(add, sums, deposits, unroll=8)[0]

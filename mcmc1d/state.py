@@ -172,9 +172,9 @@ class Multiplexed(eqx.Module):
         """
         log_ratio = self.weights.log_ratio(x, log_p, index, p)
         # Whatever the weights are; or whatever the target is, at a pole that the technique has as well.
-        dark = jnp.isneginf(log_f) | (jnp.isneginf(log_ratio) & ~jnp.isnan(log_f))
-        undefined = jnp.isnan(log_f) | jnp.isnan(x).any() | (jnp.isnan(log_ratio) & ~dark)
-        return jnp.where(undefined, jnp.inf, jnp.where(dark, -jnp.inf, log_ratio + log_f))
+        dark = jnp.isneginf(log_f) | (jnp.isneginf(log_ratio) & jnp.isposinf(log_f))
+        log_c = jnp.where(dark, -jnp.inf, log_ratio + log_f)
+        return jnp.where(jnp.isnan(log_c) | jnp.isnan(x).any(), jnp.inf, log_c)
 
     def complaint(self, state: State) -> str:
         """What is not a number at an evaluated state whose density is not finite, and where that is."""

@@ -69,7 +69,8 @@ class Proposals(eqx.Module):
         """The ends of the intervals of row `index`."""
         if self.ends is None:
             return cumulative([jnp.ones_like(number)] * target.n_techniques)
-        return [entry(self.ends[:, j], index) for j in range(target.n_techniques + 1)]
+        inner = [entry(self.ends[:, j], index) for j in range(1, target.n_techniques)]
+        return [jnp.zeros_like(number), *inner, jnp.ones_like(number)]
 
 
 class TechniqueChange(Move):
