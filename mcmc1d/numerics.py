@@ -285,7 +285,7 @@ def _log_float32(x: Scalar) -> Scalar:
 
 
 # Phi^-1(w) / (2 w - 1) as a function of t = -log(4 w (1 - w)), a ratio of polynomials with positive coefficients: a
-# least-maximum fit by Lawson's iteration on 0 <= t <= 17.5, largest relative error 2.8e-8 before rounding to float32 and
+# least-maximum fit by Lawson's iteration on 0 <= t <= 17.5, largest relative error 2.8e-8 before rounding to float32,
 # 3.0e-7 after. (Giles 2010, "Approximating the erfinv function", takes t in two pieces, which costs selections.)
 _NORMAL_QUANTILE = (
     (1.2533141375, 0.4373306930, 0.08530587703, 0.01113109849, 9.222671506e-4, 3.279545844e-5),
