@@ -20,6 +20,7 @@ from mcmc1d.flatland.integrators import BIASED, FURTHER, INTEGRATORS, Image
 from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import catalogue, scene
+from mcmc1d.starts import StartError
 
 LEVEL = 1e-4
 """Family-wise: that any pixel of any right image fails."""
@@ -33,9 +34,6 @@ BY_LENGTH = ("bdpt", "mmlt", "rjmlt")
 
 CHAINS = 2**18
 """Of what runs chains: a deviation of their mean is bounded by their number."""
-
-_NO_START = "nothing to start from", "in a narrow peak"
-"""Said by exact starts that find no light, or far too little of it for so many chains."""
 
 
 @dataclass(frozen=True)
@@ -156,9 +154,7 @@ def held(
     goal *= 1 if integrator in STRICT else 3
     try:
         found, result, samples = sharp(key, make, of, lengths, 2**log2_pilot, goal, 2**log2_work, exact, level)
-    except ValueError as error:
-        if not any(why in str(error) for why in _NO_START):
-            raise
+    except StartError:
         # Light that a sample for b met, and chains could not start from: there is no image, and no bound.
         return {"excess": 0.0, "detectable": np.inf, "blind": 0.0, **unknown}
     techniques = [len(Paths(of, layer.edges).eye_lengths) for layer in found.layers]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mcmc1d.estimators import Acceptance, Estimator, Expectation, Histogram
     from mcmc1d.metropolis import Cycle, Kernel, Metropolis
     from mcmc1d.planar_histogram import Histogram2D
-    from mcmc1d.starts import Normalisation, exact_start, normalisation
+    from mcmc1d.starts import Normalisation, StartError, exact_start, normalisation
     from mcmc1d.state import Eval, Multiplexed, State
 else:
     # On first use: pytest imports this package at the start of everyone's run, for its plugin, and must not wait for
@@ -72,7 +72,7 @@ _MODULES = [
 
 _HOMES = {
     **dict.fromkeys(["Run", "Trace", "run", "trace"], "chain"),
-    **dict.fromkeys(["Normalisation", "exact_start", "normalisation"], "starts"),
+    **dict.fromkeys(["Normalisation", "StartError", "exact_start", "normalisation"], "starts"),
     **dict.fromkeys(["Acceptance", "Estimator", "Expectation", "Histogram"], "estimators"),
     **dict.fromkeys(["Cycle", "Kernel", "Metropolis"], "metropolis"),
     **dict.fromkeys(["Eval", "Multiplexed", "State"], "state"),
@@ -94,6 +94,7 @@ __all__ = [
     "Multiplexed",
     "Normalisation",
     "Run",
+    "StartError",
     "State",
     "Trace",
     "exact_start",

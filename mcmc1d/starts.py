@@ -24,6 +24,10 @@ _MOST_CANDIDATES = 10_000 * 2**16  # of a row
 _DRAWS = 2**31 - 1
 
 
+class StartError(ValueError):
+    """No exact starts are to be had: the density is zero at all probes, or rejection would take too many candidates."""
+
+
 class Normalisation(NamedTuple):
     """An estimate of b, the integral of f, and its standard error."""
 
@@ -66,7 +70,7 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
     The bound is the largest density among 2**16 probes, with a quarter to spare; should a candidate exceed it, it is
     raised and everything is drawn again. A peak that all of the probes and candidates miss is missed. With an `index`,
     from the target given that technique. `dtype`: float32, or float64 with JAX's x64 on. Raises `ValueError` where the
-    density is zero at every probe, is not finite, or is too narrow for rejection.
+    density is not finite, and as one `StartError` where it is zero at every probe or too narrow for rejection.
     """
     require_multiplexed(target, "exact_start")
     require_key(key, "exact_start")
@@ -88,10 +92,8 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
     why = "nothing to start from"
     if top > -np.inf:
         why = f"its logarithm reaches {top:.4g}: add a constant to log f, no law depends on it"
-    require(
-        bound > 0 or bool(np.isposinf(probes).any()),
-        f"{type(target.target).__name__}: the density is zero at all of {_CANDIDATES} probes; {why}",
-    )
+    if bound == 0 and not np.isposinf(probes).any():
+        raise StartError(f"{type(target.target).__name__}: the density is zero at all of {_CANDIDATES} probes; {why}")
 
     def candidates(batch: int) -> tuple[State, np.ndarray, np.ndarray]:
         state, density, uniform = _draw(jax.random.fold_in(key, batch), target, _CANDIDATES, dtype, index)
@@ -120,7 +122,7 @@ def accepted(
     Arguments: `candidates`, of a batch's number, m of them: states, the first axis counting them, the density of each,
     which is of the row that `owner` names, and a uniform number for each, finer than the least density over the bound
     that matters (see `independent_states`); `bound`, that the rows' densities are thought not to exceed: where a
-    candidate does, it is raised, and the row's are drawn again. `ValueError` with the `fix` to give, where they are
+    candidate does, it is raised, and the row's are drawn again. `StartError` with the `fix` to give, where they are
     too narrow.
     """
     rows, bound = len(bound), bound.copy()
@@ -146,11 +148,11 @@ def accepted(
         r = int(np.argmin(found))
         tried = int((batch - since[r]) * share[r])
         hopeless = tried >= _PATIENCE and found[r] * _MOST_CANDIDATES < count * tried
-        require(
-            found[r] >= count or (batch * int(share[r]) < _MOST_CANDIDATES and not hopeless),
-            f"{who}: {found[r]} of {count} states after {tried} candidates, because the density reaches "
-            f"{bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}",
-        )
+        if found[r] < count and (hopeless or batch * int(share[r]) >= _MOST_CANDIDATES):
+            raise StartError(
+                f"{who}: {found[r]} of {count} states after {tried} candidates, because the density reaches "
+                f"{bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}"
+            )
     each = [jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *row) for row in kept]
     return jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)), *each)
 

@@ -9,7 +9,7 @@ import mcmc1d
 from mcmc1d import rendering, starts
 from mcmc1d.pixels import Pixels
 from mcmc1d.rendering import Scene
-from mcmc1d.starts import accepted
+from mcmc1d.starts import StartError, accepted
 from mcmc1d.state import State
 
 OWNER = np.arange(512) % 4
@@ -106,5 +106,12 @@ def test_what_is_never_accepted_is_told_before_the_last_candidate():
     def candidates(batch):
         return State(np.zeros(2**16, int), np.zeros((2**16, 1))), np.zeros(2**16), np.ones(2**16)
 
-    with pytest.raises(ValueError, match=r"draws: 0 of 5 states after 4194304 candidates.*narrow peak.*give a lamp"):
+    with pytest.raises(StartError, match=r"draws: 0 of 5 states after 4194304 candidates.*narrow peak.*give a lamp"):
         accepted("draws", candidates, np.zeros(2**16, int), np.ones(1), 5, "a lamp")
+
+
+def test_no_light_to_start_from_has_an_error_of_its_own():
+    narrow = mcmc1d.targets.FromFunction(lambda x: jnp.where(jnp.abs(x - 0.3) < 1e-7, 1.0, 0.0))
+    target = mcmc1d.Multiplexed(narrow, mcmc1d.techniques.Uniform(), probes=0)
+    with pytest.raises(StartError, match="nothing to start from"):
+        mcmc1d.exact_start(jax.random.key(0), target, 4)
