@@ -69,12 +69,13 @@ class Pooled(Target):
 
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         """Log C at u = x; -inf outside of the cube."""
-        u = jnp.atleast_1d(x)
-        return self.value(u, self.contributions(u)[1])
+        return self.look(x)[0]
 
-    def value(self, u: Float[Array, " m"], log_c: Float[Array, " n"]) -> Scalar:
-        """Log C at u, of the techniques' log C_i there."""
-        return jnp.where(jnp.all((u >= 0) & (u <= 1)), self.combined(log_c), -jnp.inf)
+    def look(self, x: Float[Array, "..."]) -> tuple[Scalar, tuple[Float[Array, "n ..."], Float[Array, " n"]]]:
+        """Log C at u = x, and the contributions: all techniques' work, which is most of a step's, and is done once."""
+        u = jnp.atleast_1d(x)
+        made = self.contributions(u)
+        return jnp.where(jnp.all((u >= 0) & (u <= 1)), self.combined(made[1]), -jnp.inf), made
 
     def bin_masses(self, edges: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
         require(self.multiplexed.dim_u == 1, "Pooled: the masses of bins of u are known for one u only")
@@ -189,28 +190,13 @@ class PooledDeposit(OfMove[Move]):
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         own = _pooled(target)
         proposal = self.move.propose(target, state, w[:-1])
-        made = own.contributions(proposal.state.u)
-        # All techniques' work, which is most of a step's: done once for the density and for the deposits.
-        known = eqx.tree_at(lambda t: t.target, target, _Known(own.value(proposal.state.u, made[1])))
-        proposal = eqx.tree_at(
-            lambda p: p.state, proposal, known.evaluate(State(proposal.state.index, proposal.state.u))
-        )
-        step = accept(target, state, proposal, w[-1], "plain")
-        a = step.info.acceptance[0]
-        here = own.contributions(state.u)
-        there = select(a > 0, made, here)  # an impossible proposal may be no point at all
+        proposed = target.evaluate(proposal.state)
+        step = accept(target, state, eqx.tree_at(lambda p: p.state, proposal, proposed), w[-1], "plain")
+        a, here = step.info.acceptance[0], state.seen.kept
+        there = select(a > 0, proposed.seen.kept, here)  # an impossible proposal may be no point at all
         weight = jnp.concatenate([_shares(own, here[1], 1 - a), _shares(own, there[1], a)])
         x, index = jnp.concatenate([here[0], there[0]]), jnp.arange(len(weight), dtype=jnp.int32) % (len(weight) // 2)
         return Step(step.state, Deposits(x, index, weight), step.info)
-
-
-class _Known(eqx.Module):
-    """What `Pooled` is at the one point where its value has been found."""
-
-    value: Scalar
-
-    def log_f(self, x: Float[Array, "..."]) -> Scalar:
-        return self.value
 
 
 def _pooled(target: Multiplexed) -> Pooled:

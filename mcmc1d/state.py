@@ -1,6 +1,7 @@
 """The state of a chain, and the density it samples: a target seen through several techniques at once."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -32,6 +33,8 @@ class Eval(eqx.Module):
     """log p_i(x), with respect to dx, of every technique."""
     log_c: Scalar
     """log C_i(u), the log-density of the state."""
+    kept: Any = ()
+    """What the target found at x beside log f; see `Target.look`."""
 
 
 class State(eqx.Module):
@@ -146,9 +149,9 @@ class Multiplexed(eqx.Module):
         """The state with its `eval` filled in; as it is where that has been done."""
         if state.eval is not None:
             return state
-        x, v, log_det, log_f, log_p = self.family.look(self.target, state.index, state.u)
+        x, v, log_det, log_f, log_p, kept = self.family.look(self.target, state.index, state.u)
         log_c = self.log_c(state.index, x, log_f, log_p, self.family.probs(x))
-        return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, log_c))
+        return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, log_c, kept))
 
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
         """Log w_i(x) of every technique."""

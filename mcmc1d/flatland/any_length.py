@@ -18,7 +18,7 @@ from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import pick
 from mcmc1d.targets import Target
-from mcmc1d.techniques import Family, Technique
+from mcmc1d.techniques import Family, Looked, Technique
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.types import Array, Corners, Float, Index, Int, Scalar
 
@@ -128,9 +128,7 @@ class AnyLength(Family):
             for log_p in family.log_probs(x[: family.dim_x])
         )
 
-    def look(
-        self, target: Any, index: Index, u: Float[Array, " m"]
-    ) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
+    def look(self, target: Any, index: Index, u: Float[Array, " m"]) -> Looked:
         """Each length by its own family, which meets each edge of the path once."""
         require(
             isinstance(target, LightOfAnyLength) and len(target.lights) == len(self.families),
@@ -139,10 +137,10 @@ class AnyLength(Family):
         options = []
         for family, light, first in zip(self.families, target.lights, self._firsts(), strict=True):
             inner, spare = self._apart(family, index - first, u)
-            x, v, log_det, log_f, log_p = family.look(light, index - first, inner)
+            x, v, log_det, log_f, log_p, _ = family.look(light, index - first, inner)
             never = jnp.full_like(log_f, -jnp.inf)
             all_p = [never] * first + list(log_p) + [never] * (len(self.lengths) - first - len(log_p))
-            options.append((*_with_spare(x, v, spare), log_det, log_f, tuple(all_p)))
+            options.append(Looked(*_with_spare(x, v, spare), log_det, log_f, tuple(all_p)))
         return pick(options, self._length(index) - 1)
 
     def probes(self, domain: Corners, count: int) -> np.ndarray:

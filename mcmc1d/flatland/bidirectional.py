@@ -23,7 +23,7 @@ from mcmc1d.flatland.paths import EXAMPLES as LIT
 from mcmc1d.flatland.paths import Geometry, Light, LightTimes, Paths, lamps, on_a_lamp
 from mcmc1d.flatland.scattering import Local, lambert_direction, lambert_number, local, scatter, unscatter
 from mcmc1d.numerics import below_one, between, cast, pick
-from mcmc1d.techniques import Family, Technique
+from mcmc1d.techniques import Family, Looked, Technique
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.family import apart
 from mcmc1d.types import Array, Corners, Float, Index, Scalar
@@ -108,9 +108,7 @@ class Bidirectional(Family):
         eye, light = self.paths.log_eye(g), self.paths.log_lamp(g)
         return tuple(_log_density(t, g, eye, light) for t in self.lengths)
 
-    def look(
-        self, target: Any, index: Index, u: Float[Array, " m"]
-    ) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
+    def look(self, target: Any, index: Index, u: Float[Array, " m"]) -> Looked:
         """Of the light of the same space of paths all at once, each edge of the path met once; see `evaluation`."""
         light = target.light if isinstance(target, LightTimes) else target
         if not isinstance(light, Light):
@@ -118,7 +116,7 @@ class Bidirectional(Family):
         (paths, lit), u = _of_one_kind((self.paths, light.paths), u)
         found = evaluate(paths, lit, self.lengths, index, u)
         log_f = found.log_f + target.log_factor(found.x) if isinstance(target, LightTimes) else found.log_f
-        return found.x, found.v, -pick(found.log_p, index), log_f, found.log_p
+        return Looked(found.x, found.v, -pick(found.log_p, index), log_f, found.log_p)
 
     def probes(self, domain: Corners, count: int) -> np.ndarray:
         """Paths that the techniques make themselves: of a grid of the box, next to none would be one."""

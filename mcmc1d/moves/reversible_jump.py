@@ -60,7 +60,7 @@ def _jump(target: Multiplexed, state: State, j: Index, back: Scalar, log_t: Scal
     here = state.seen
     u, log_det = target.inverse(j, here.x, v)
     log_c = target.log_c(j, here.x, here.log_f, here.log_p)
-    there = State(j, u, Eval(here.x, v, -log_det, here.log_f, here.log_p, log_c))
+    there = State(j, u, Eval(here.x, v, -log_det, here.log_f, here.log_p, log_c, here.kept))
     return Proposal(there, jnp.concatenate([back[None], here.v]), log_det + here.log_det + log_t)
 
 

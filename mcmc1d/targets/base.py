@@ -42,6 +42,10 @@ class Target(eqx.Module):
     def log_f(self, x: Float[Array, "..."]) -> Scalar:
         """Log f(x): one point, -inf where f is zero (outside the domain as well)."""
 
+    def look(self, x: Float[Array, "..."]) -> tuple[Scalar, Any]:
+        """Log f(x), and what else was found that a kernel may want of the state; nothing unless redefined."""
+        return self.log_f(x), ()
+
     @abc.abstractmethod
     def bin_masses(self, edges: Edges) -> np.ndarray:
         """The exact integral of f over each bin between the `edges`, in float64 on the host: (n,), or (nx, ny)."""

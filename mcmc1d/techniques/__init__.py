@@ -4,7 +4,7 @@ from mcmc1d.techniques.base import Inversion, Technique, checked_shape, density_
 from mcmc1d.techniques.compose import Compose
 from mcmc1d.techniques.disk import ConcentricDisk, PolarDisk, ProjectedCap
 from mcmc1d.techniques.elementary import Ramp, Tent, Uniform
-from mcmc1d.techniques.family import Family, Several
+from mcmc1d.techniques.family import Family, Looked, Several
 from mcmc1d.techniques.gaussian import BoxMuller
 from mcmc1d.techniques.mixture import Mixture
 from mcmc1d.techniques.piecewise import PiecewiseConstant, PiecewiseLinear, Tabulated
@@ -21,6 +21,7 @@ __all__ = [
     "ConcentricDisk",
     "Family",
     "Inversion",
+    "Looked",
     "MarginalConditional",
     "Mixture",
     "PiecewiseConstant",

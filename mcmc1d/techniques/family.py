@@ -1,7 +1,7 @@
 """Several techniques for one kind of sample, which may share what they compute."""
 
 import abc
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,6 +11,20 @@ from mcmc1d.numerics import pick
 from mcmc1d.quadrature import midpoints
 from mcmc1d.techniques.base import Technique, sample_shape
 from mcmc1d.types import Array, Corners, Float, Index, Scalar
+
+
+class Looked(NamedTuple):
+    """All that the evaluation of (index, u) asks for."""
+
+    x: Float[Array, "..."]
+    v: Float[Array, " k"]
+    log_det: Scalar
+    """log|d(x, v)/du|."""
+    log_f: Scalar
+    log_p: tuple[Scalar, ...]
+    """Of every member."""
+    kept: Any = ()
+    """What the target found beside its value; see `Target.look`."""
 
 
 class Family(eqx.Module):
@@ -51,10 +65,8 @@ class Family(eqx.Module):
         """The density itself of every member (see `Technique.prob`); None unless redefined."""
         return None
 
-    def look(
-        self, target: Any, index: Index, u: Float[Array, " m"]
-    ) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
-        """(x, v, log|d(x, v)/du|, log f(x), log p(x) of every member): all that a state's evaluation asks for.
+    def look(self, target: Any, index: Index, u: Float[Array, " m"]) -> Looked:
+        """The sample, and all that is to be known of it.
 
         A family that knows the target's kind may find them together; they are held to those found apart.
         """
@@ -65,12 +77,11 @@ class Family(eqx.Module):
         return midpoints(*domain, count)
 
 
-def apart(
-    family: Family, target: Any, index: Index, u: Float[Array, " m"]
-) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
+def apart(family: Family, target: Any, index: Index, u: Float[Array, " m"]) -> Looked:
     """What `Family.look` returns, by the family's own methods and the target's."""
     x, v, log_det = family.forward(index, u)
-    return x, v, log_det, target.log_f(x), family.log_probs(x)
+    log_f, kept = target.look(x)
+    return Looked(x, v, log_det, log_f, family.log_probs(x), kept)
 
 
 class Several(Family):

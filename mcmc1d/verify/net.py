@@ -72,7 +72,7 @@ def deposit_law(
 def _sums(
     kernel: Kernel,
     target: Multiplexed,
-    points: Float[Array, "dim n"],
+    points: Float[Array, "dim count"],
     index: Index,
     edges: Float[Array, " n"],
 ) -> Any:

@@ -21,7 +21,7 @@ from mcmc1d.flatland.sampling import bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import pick
 from mcmc1d.state import Multiplexed
-from mcmc1d.techniques import Family, Technique
+from mcmc1d.techniques import Family, Looked, Technique
 from mcmc1d.types import Array, Float, Index, Key, Scalar
 
 
@@ -74,10 +74,8 @@ class Tampered(Family):
     def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
         return self.right.log_probs(x)
 
-    def look(
-        self, target: Any, index: Index, u: Float[Array, " m"]
-    ) -> tuple[Array, Array, Scalar, Scalar, tuple[Scalar, ...]]:
-        x, v, log_det, log_f, log_p = self.right.look(target, index, u)
+    def look(self, target: Any, index: Index, u: Float[Array, " m"]) -> Looked:
+        x, v, log_det, log_f, log_p, _ = self.right.look(target, index, u)
         paths, wrong, k = self.right.paths, self.powers, self.right.paths.edges
         walls = paths.walls
         points = paths.vertices(x)
@@ -95,7 +93,7 @@ class Tampered(Family):
         for t, p in zip(self.right.lengths, log_p, strict=True):
             tampered = p + (wrong.measure * to_places if t == k + 1 else wrong.lamps * chosen)
             found.append(jnp.where(jnp.isneginf(tampered) & (wrong.mirrors > 0), own, tampered))
-        return x, v, log_det, log_f, tuple(found)
+        return Looked(x, v, log_det, log_f, tuple(found))
 
 
 class Wrong(Integrator):
