@@ -24,6 +24,7 @@ import mcmc1d
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
+from mcmc1d.compiling import quickly
 from mcmc1d.moves import AimedJump, Mixture, Move, ReversibleJump, SmallStep, TechniqueChange
 from mcmc1d.techniques import Mixture as MixtureTechnique
 from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Technique, Tent
@@ -147,8 +148,8 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
         blocks=math.gcd(config.replicas, config.replicas * config.blocks // config.chains),
         **common,
     )
-    x = jax.vmap(target.evaluate)(replicas.state).seen.x
-    bins = np.clip(np.searchsorted(edges, np.asarray(x), side="right") - 1, 0, config.bins - 1)
+    x = np.asarray(_samples(target, replicas.state))
+    bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, config.bins - 1)
     counts = np.zeros(exact.shape)
     np.add.at(counts, (np.asarray(replicas.state.index), bins), 1)
 
@@ -199,6 +200,12 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
         }
     )
     return found.to_dict()
+
+
+@quickly
+def _samples(target: mcmc1d.Multiplexed, states: mcmc1d.State) -> jax.Array:
+    """The x of each state."""
+    return jax.vmap(target.evaluate)(states).seen.x
 
 
 def _noise(blocks: np.ndarray, level: float = 1e-3) -> float:
