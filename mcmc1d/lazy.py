@@ -17,6 +17,7 @@ from mcmc1d.checks import require, require_key, require_positive, require_whole
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Proposal
 from mcmc1d.numerics import is_concrete, normal_quantile, parameter, wrap
+from mcmc1d.starts import StartError
 from mcmc1d.state import Eval, State
 from mcmc1d.types import Array, Bool, Float, Index, Int, Key, Scalar
 
@@ -251,11 +252,11 @@ def bootstrap(
         f"bootstrap: f is {f[k]} at candidate {k}, of the sample {jax.tree.map(lambda leaf: leaf[k], starts.sample)}: "
         "let the contribution be 0 there, or define it",
     )
-    require(
-        bool(f.any()),
-        f"bootstrap: the contribution is zero at all of {candidates} candidates, there is nothing to start from; raise "
-        "candidates",
-    )
+    if not f.any():
+        raise StartError(
+            f"bootstrap: the contribution is zero at all of {candidates} candidates, there is nothing to start from; "
+            "raise candidates"
+        )
     ends = np.cumsum(f) / f.sum()
     chosen = np.searchsorted(ends, np.asarray(jax.random.uniform(second, (chains,)), np.float64), side="right")
     return jax.tree.map(lambda leaf: leaf[np.minimum(chosen, np.flatnonzero(f)[-1])], starts), float(f.mean())

@@ -24,8 +24,9 @@ M = TypeVar("M", bound=Move)
 class Deposits(eqx.Module):
     """Weighted points whose expectation over a step is that of the target: the weights of one step sum to one.
 
-    Unless the kernel says otherwise: see `Kernel.deposited`. Of a batch of chains, as a run hands them to estimators,
-    the chains are the last axis of each: x is of shape (n, ..., chains).
+    Unless the kernel says otherwise: see `Kernel.deposited`. An `index` is that of one of the target's techniques. Of a
+    batch of chains, as a run hands them to estimators, the chains are the last axis of each: x is of shape
+    (n, ..., chains).
     """
 
     x: Float[Array, "n ..."]

@@ -191,6 +191,11 @@ class PooledDeposit(OfMove[Move]):
         own = _pooled(target)
         proposal = self.move.propose(target, state, w[:-1])
         proposed = target.evaluate(proposal.state)
+        require(
+            len(proposed.seen.kept) > 0,
+            f"PooledDeposit: {type(self.move).__name__} returns a state that it has evaluated itself, without what all "
+            "techniques make of its u: let it return the state without its eval",
+        )
         step = accept(target, state, eqx.tree_at(lambda p: p.state, proposal, proposed), w[-1], "plain")
         a, here = step.info.acceptance[0], state.seen.kept
         there = select(a > 0, proposed.seen.kept, here)  # an impossible proposal may be no point at all

@@ -23,7 +23,7 @@ from mcmc1d.pixels import Pixels, masses, resample
 from mcmc1d.quadrature import midpoints
 from mcmc1d.random import uniforms
 from mcmc1d.stages import Stage
-from mcmc1d.starts import independent_states, uniform_states
+from mcmc1d.starts import StartError, independent_states, uniform_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Target
 from mcmc1d.techniques import Technique
@@ -197,7 +197,8 @@ class Renderer(eqx.Module):
         if state is None:
             state, faults = _start(keys, self.scene, values, regions, self.chains)
             fault = int(np.max(faults))
-            require(fault == 0, f"render: {_FAULTS.get(fault)}")
+            if fault:
+                raise (StartError if fault == _TOO_NARROW else ValueError)(f"render: {_FAULTS[fault]}")
         sums, accepted = np.zeros(()), np.zeros(())
         for first in range(0, steps, STEPS_AT_ONCE):
             count = min(STEPS_AT_ONCE, steps - first)

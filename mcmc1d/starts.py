@@ -69,8 +69,9 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
 
     The bound is the largest density among 2**16 probes, with a quarter to spare; should a candidate exceed it, it is
     raised and everything is drawn again. A peak that all of the probes and candidates miss is missed. With an `index`,
-    from the target given that technique. `dtype`: float32, or float64 with JAX's x64 on. Raises `ValueError` where the
-    density is not finite, and as one `StartError` where it is zero at every probe or too narrow for rejection.
+    from the target given that technique. `dtype`: float32, or float64 with JAX's x64 on. Raises `StartError`, a
+    `ValueError`, where the density is zero at every probe or too narrow for rejection; `ValueError` where it is not
+    finite.
     """
     require_multiplexed(target, "exact_start")
     require_key(key, "exact_start")
@@ -93,7 +94,8 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
     if top > -np.inf:
         why = f"its logarithm reaches {top:.4g}: add a constant to log f, no law depends on it"
     if bound == 0 and not np.isposinf(probes).any():
-        raise StartError(f"{type(target.target).__name__}: the density is zero at all of {_CANDIDATES} probes; {why}")
+        kind = StartError if top == -np.inf else ValueError
+        raise kind(f"{type(target.target).__name__}: the density is zero at all of {_CANDIDATES} probes; {why}")
 
     def candidates(batch: int) -> tuple[State, np.ndarray, np.ndarray]:
         state, density, uniform = _draw(jax.random.fold_in(key, batch), target, _CANDIDATES, dtype, index)

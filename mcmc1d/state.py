@@ -14,7 +14,7 @@ from mcmc1d.numerics import cast, is_concrete
 from mcmc1d.quadrature import Outline, integrate, integrate_plane
 from mcmc1d.targets import DensityOf, Target
 from mcmc1d.targets.base import Edges, pair_of_edges
-from mcmc1d.techniques import Family, Several, Technique, checked_shape, sample_shape
+from mcmc1d.techniques import Family, Looked, Several, Technique, checked_shape, sample_shape
 from mcmc1d.techniques.planar import outlines
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
 from mcmc1d.weights import Balance, FromFunction, Weights
@@ -149,9 +149,10 @@ class Multiplexed(eqx.Module):
         """The state with its `eval` filled in; as it is where that has been done."""
         if state.eval is not None:
             return state
-        x, v, log_det, log_f, log_p, kept = self.family.look(self.target, state.index, state.u)
-        log_c = self.log_c(state.index, x, log_f, log_p, self.family.probs(x))
-        return State(state.index, state.u, Eval(x, v, log_det, log_f, log_p, log_c, kept))
+        seen = Looked(*self.family.look(self.target, state.index, state.u))
+        log_c = self.log_c(state.index, seen.x, seen.log_f, seen.log_p, self.family.probs(seen.x))
+        found = Eval(seen.x, seen.v, seen.log_det, seen.log_f, seen.log_p, log_c, seen.kept)
+        return State(state.index, state.u, found)
 
     def log_weights(self, x: Float[Array, "..."], log_p: Sequence[Scalar]) -> Sequence[Scalar]:
         """Log w_i(x) of every technique."""
@@ -175,7 +176,7 @@ class Multiplexed(eqx.Module):
         """
         log_ratio = self.weights.log_ratio(x, log_p, index, p)
         # Whatever the weights are; or whatever the target is, at a pole that the technique has as well.
-        dark = jnp.isneginf(log_f) | (jnp.isneginf(log_ratio) & jnp.isposinf(log_f))
+        dark = jnp.isneginf(log_f) | (jnp.isneginf(log_ratio) & ~jnp.isnan(log_f))
         log_c = jnp.where(dark, -jnp.inf, log_ratio + log_f)
         return jnp.where(jnp.isnan(log_c) | jnp.isnan(x).any(), jnp.inf, log_c)
 
@@ -245,6 +246,12 @@ def _look(target: Multiplexed, points: Float[Array, "n ..."]) -> tuple[Array, Ar
     return jax.vmap(at)(points)
 
 
+@quickly
+def _looked(target: Target, points: Float[Array, "n ..."]) -> Array:
+    """Log f at each point, as a chain sees it."""
+    return jax.vmap(lambda x: target.look(x)[0])(points)
+
+
 def _probe(target: Multiplexed, probes: int) -> None:
     """Raise `ValueError` for what no chain could sample, naming the thing and the first point."""
     points = target.family.probes(target.target.domain, probes)
@@ -259,6 +266,14 @@ def _probe(target: Multiplexed, probes: int) -> None:
     require(
         log_f.shape == (len(points),), f"{name}.log_f must return one number for one x, not shape {log_f.shape[1:]}"
     )
+    if type(target.target).look is not Target.look:
+        with jax.enable_x64(True), traced(f"{name}.look"):
+            seen = np.asarray(_looked(cast(target.target, jnp.float64), jnp.asarray(points)))
+        agree = np.isclose(seen, log_f, rtol=1e-6, atol=1e-6, equal_nan=True)
+        first(
+            ~agree,
+            f"{name}: look says another log f than log_f at x = {{x}}: a chain would be held to another law",
+        )
     if np.isnan(log_f).any():
         with jax.enable_x64(True):
             raise ValueError(target.target.complaint(points[np.argmax(np.isnan(log_f))]))

@@ -137,7 +137,7 @@ class AnyLength(Family):
         options = []
         for family, light, first in zip(self.families, target.lights, self._firsts(), strict=True):
             inner, spare = self._apart(family, index - first, u)
-            x, v, log_det, log_f, log_p, _ = family.look(light, index - first, inner)
+            x, v, log_det, log_f, log_p, *_ = family.look(light, index - first, inner)
             never = jnp.full_like(log_f, -jnp.inf)
             all_p = [never] * first + list(log_p) + [never] * (len(self.lengths) - first - len(log_p))
             options.append(Looked(*_with_spare(x, v, spare), log_det, log_f, tuple(all_p)))

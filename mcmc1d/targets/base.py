@@ -43,7 +43,10 @@ class Target(eqx.Module):
         """Log f(x): one point, -inf where f is zero (outside the domain as well)."""
 
     def look(self, x: Float[Array, "..."]) -> tuple[Scalar, Any]:
-        """Log f(x), and what else was found that a kernel may want of the state; nothing unless redefined."""
+        """`log_f(x)`, and what else was found that a kernel may want of the state: arrays, or a tree of them.
+
+        Nothing unless redefined; a `Multiplexed` is refused whose target says other than its `log_f` here.
+        """
         return self.log_f(x), ()
 
     @abc.abstractmethod

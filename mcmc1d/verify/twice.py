@@ -5,6 +5,7 @@ derivatives, is compiled once for all moves; the way forth is differentiated by 
 is not differentiated.
 """
 
+import dataclasses
 from functools import partial
 
 import equinox as eqx
@@ -71,12 +72,17 @@ def over(move: Move, target: Multiplexed, index: Int[Array, " n"], points: Float
         log_det_back=second.log_det,
         jacobian=jacobian,
         slope=slope,
-        kept=first.state.eval,
-        found=there.found,
+        kept=None if first.state.eval is None else _bare(first.state.eval),
+        found=_bare(there.found),
         lit=here.found.log_c > -jnp.inf,
         sensitivity=jnp.max(jnp.stack(steepest), axis=0),
         felt=jnp.maximum(here.felt, there.felt),
     )
+
+
+def _bare(found: Eval) -> Eval:
+    """What is the same of every target: all but what this one keeps, which need not be numbers."""
+    return dataclasses.replace(found, kept=())
 
 
 @quickly
@@ -84,7 +90,7 @@ def _ends(target: Multiplexed, index: Int[Array, " n"], u: Float[Array, "n m"]) 
     def evaluate(index: Array, u: Array) -> tuple[Eval, Eval]:
         seen = target.evaluate(State(index, u)).seen
         # In a hole a density's logarithm has no slope.
-        return jax.tree.map(still, seen), seen
+        return jax.tree.map(still, _bare(seen)), seen
 
     def log_p(x: Array) -> Array:
         return jnp.stack([still(log_p) for log_p in target.family.log_probs(x)])
@@ -105,11 +111,12 @@ def _forth(
 
     def one(index: Array, uw: Array, here: End) -> tuple[Proposal, Array, Array]:
         def apply(uw: Array, seen: Eval) -> tuple[tuple[Array, Array], Proposal]:
-            proposal = _propose(move, target, State(index, uw[:m], seen), uw[m:])
+            known = dataclasses.replace(seen, kept=here.found.kept)
+            proposal = _propose(move, target, State(index, uw[:m], known), uw[m:])
             return (_flat(proposal), proposal.log_det), proposal
 
         def along(direction: Array, tangent: Eval) -> tuple[Proposal, tuple[Array, Array]]:
-            _, slopes, proposal = jax.jvp(apply, (uw, here.found), (direction, tangent), has_aux=True)
+            _, slopes, proposal = jax.jvp(apply, (uw, _bare(here.found)), (direction, tangent), has_aux=True)
             return proposal, slopes
 
         # An evaluation does not depend on w.

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require
 from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator, added, empty
 from mcmc1d.examples import Examples
@@ -22,7 +21,7 @@ from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.rendering import STEPS_AT_ONCE
-from mcmc1d.starts import accepted, independent_states
+from mcmc1d.starts import StartError, accepted, independent_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
@@ -152,14 +151,14 @@ def exact_starts(
     """`chains` exact states for each row of `values`, (rows chains), by rejection: see `starts.accepted`.
 
     The first bound is 1.25 times what `highest` of `highest_seen` allows. Each row has candidates of its own, so that
-    replicas stay independent. `ValueError` where rejection is hopeless.
+    replicas stay independent. `StartError` where rejection is hopeless.
     """
     owner = np.arange(_CANDIDATES) % len(values)
     bound = 1.25 * (values * highest).max(1)
-    require(
-        bool(bound.min() > 0),
-        f"exact_starts: no light in {_PROBES} probes; give techniques that find it, or a lamp that can be seen",
-    )
+    if not bound.min() > 0:
+        raise StartError(
+            f"exact_starts: no light in {_PROBES} probes; give techniques that find it, or a lamp that can be seen"
+        )
 
     def candidates(batch: int) -> tuple[State, np.ndarray, np.ndarray]:
         state, density, pixel, uniform = _candidates(key, target, batch)

@@ -95,7 +95,7 @@ def _unseen(target: Multiplexed) -> Array:
     index = jnp.arange(_LOOKED_AT, dtype=jnp.int32) % target.n_techniques
 
     def one(i: Array, u: Array) -> Array:
-        x, _, _, log_f, log_p, _ = family.look(target.target, i, u)
+        x, _, _, log_f, log_p, *_ = family.look(target.target, i, u)
         light = jnp.exp(target.log_c(i, x, log_f, log_p))
         return jnp.stack([light, jnp.where(jnp.isneginf(log_p[family.lengths.index(1)]), light, 0)])
 

@@ -75,7 +75,7 @@ class Tampered(Family):
         return self.right.log_probs(x)
 
     def look(self, target: Any, index: Index, u: Float[Array, " m"]) -> Looked:
-        x, v, log_det, log_f, log_p, _ = self.right.look(target, index, u)
+        x, v, log_det, log_f, log_p, *_ = self.right.look(target, index, u)
         paths, wrong, k = self.right.paths, self.powers, self.right.paths.edges
         walls = paths.walls
         points = paths.vertices(x)

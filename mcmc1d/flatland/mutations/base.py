@@ -166,7 +166,7 @@ def remade(
     u_there = jnp.where(planned.again, fresh, u)
     rest = jnp.where(planned.again, left, w[_CHOICES:])
 
-    x, v, _, log_f, log_p, _ = target.family.look(target.target, made_by, u_there)
+    x, v, _, log_f, log_p, *_ = target.family.look(target.target, made_by, u_there)
     found = plan(looked_at(here, x))
     same = jnp.all(planned.again == found.again)
     for one, other in zip(planned.shares, found.shares, strict=True):
