@@ -273,3 +273,31 @@ def test_an_integral_that_is_infinite_is_refused():
 def test_a_pole_at_zero_that_can_be_integrated_is():
     masses = FromFunction(lambda x: x**-0.5).bin_masses(np.array([0, 0.25, 1]))
     np.testing.assert_allclose(masses, [1, 1], rtol=1e-10)
+
+
+class Given(Balance):
+    """Whose logarithm of w / p is a number that is given."""
+
+    ratio: float = 0.0
+
+    def log_ratio(self, x, log_p, index, p=None):
+        return jnp.asarray(self.ratio)
+
+
+NUMBERS = (0.5, 0.0, -np.inf, np.inf, np.nan)
+
+
+@pytest.mark.parametrize("ratio", NUMBERS)
+def test_what_is_dark_and_what_is_undefined(ratio):
+    """What is dark stays dark whatever else is undefined, but for a NaN of the target or of the point itself."""
+    target = mcmc1d.Multiplexed(targets.Sinusoid(), techniques.Uniform(), Given(ratio=ratio), probes=0)
+    for log_f in NUMBERS:
+        for x in (0.3, np.nan):
+            if np.isnan(log_f) or np.isnan(x):
+                expected = np.inf
+            elif -np.inf in (log_f, ratio):
+                expected = -np.inf
+            else:
+                expected = np.inf if np.isnan(ratio) else ratio + log_f
+            found = target.log_c(0, jnp.asarray(x), jnp.asarray(log_f), (jnp.asarray(0.0),))
+            assert found == expected, (ratio, log_f, x)

@@ -46,6 +46,7 @@ def test_a_right_kernel_keeps_the_exact_law(right):
     law = right.law_of(EDGES)
     assert total_variation(law.masses, TWO.joint_masses(EDGES)) < 1e-3
     assert law.noise + law.grid < 2e-3
+    assert repr(right).startswith("<Operator on ")
 
 
 @pytest.mark.slow
