@@ -34,9 +34,12 @@ class Keeping(Target):
         return Sinusoid(0.9, 1.5, 0.1).bin_masses(edges)
 
 
-def test_it_goes_with_the_state_through_steps_and_jumps():
-    target = mcmc1d.Multiplexed(Keeping(), PAIR)
-    kernel = Metropolis(Mixture({"jump": (0.5, ReversibleJump()), "small": (0.5, SmallStep(0.2))}))
+MOVES = ReversibleJump(), SmallStep(0.2), Mixture({"jump": (0.5, ReversibleJump()), "small": (0.5, SmallStep(0.2))})
+
+
+@pytest.mark.parametrize("move", MOVES, ids=["jump", "step", "mixture"])
+def test_it_goes_with_the_state_through_steps_and_jumps(move):
+    target, kernel = mcmc1d.Multiplexed(Keeping(), PAIR), Metropolis(move)
     start = mcmc1d.exact_start(jax.random.key(0), target, 500)
     numbers = jnp.asarray(np.random.default_rng(0).random((500, kernel.dim_w(target))))
     step = jax.jit(jax.vmap(lambda s, w: kernel.step(target, target.evaluate(s), w)))(start, numbers)
