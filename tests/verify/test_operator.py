@@ -190,3 +190,17 @@ def test_a_plain_step_that_wraps_is_right_and_one_that_clamps_is_wrong(fold, is_
     distance = total_variation(law.masses[0], exact)
     assert (distance < 1e-2) == is_right
     assert is_right or distance > 0.05
+
+
+def test_the_nets_draw_steps_of_their_own():
+    """With the keys of the first in all of them the spread, and so the noise, would be next to nothing."""
+    operator = step_operator(
+        lambda key, x: jax.random.uniform(key, x.shape),
+        log_density=lambda x: 0.0 * x[0],
+        lower=0,
+        upper=1,
+        cells=4,
+        points=2**12,
+    )
+    first, second = (np.asarray(flux.sum(0)).ravel() for flux in operator.flux.scrambles)
+    assert 1e-3 < np.abs(first - second).max() < 0.05  # 0.0068, the standard deviation of a mean of 4096
