@@ -16,7 +16,8 @@ import numpy as np
 from mcmc1d.checks import require, require_key, require_positive, require_whole
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Proposal
-from mcmc1d.numerics import is_concrete, normal_quantile, parameter, wrap
+from mcmc1d.numerics import is_concrete, parameter, wrap
+from mcmc1d.special import normal_quantile
 from mcmc1d.starts import StartError
 from mcmc1d.state import Eval, State
 from mcmc1d.types import Array, Bool, Float, Index, Int, Key, Scalar

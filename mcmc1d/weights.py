@@ -10,7 +10,8 @@ import jax.numpy as jnp
 
 from mcmc1d.checks import require, require_instance, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import log_sum, parameter, pick
+from mcmc1d.numerics import parameter, pick
+from mcmc1d.special import log_sum
 from mcmc1d.targets import Target
 from mcmc1d.techniques import Technique
 from mcmc1d.types import Array, Float, Index, Scalar

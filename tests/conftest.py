@@ -27,9 +27,9 @@ numpy.typing.ArrayLike = numpy.typing.ArrayLike | Sequence
 
 # Every shape that the library annotates is checked at run time; the library must not have been imported before. Not
 # yet in these modules, whose annotations are narrower than what they take:
-#   numerics: `normal_quantile` takes arrays, and "n+1" in an argument can not be checked;
+#   numerics: "n+1" in an argument can not be checked;  special: `normal_quantile` takes arrays;
 #   quadrature: `midpoints` takes scalars;  state: a batch of states is a `State` as well.
-_UNCHECKED = {"__init__", "__pycache__", "numerics", "quadrature", "state"}
+_UNCHECKED = {"__init__", "__pycache__", "numerics", "quadrature", "special", "state"}
 _MODULES = [f"mcmc1d.{path.stem}" for path in sorted((_ROOT / "mcmc1d").iterdir()) if path.stem not in _UNCHECKED]
 jaxtyping.install_import_hook(_MODULES, "strict.check")
 

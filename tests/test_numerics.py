@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp, ndtri
 
-from mcmc1d import checks, numerics
+from mcmc1d import checks, numerics, special
 
 DTYPES = (np.float32, np.float64)
 
@@ -123,7 +123,7 @@ def test_normal_quantile_is_scipys(dtype):
     w = unit_points(dtype, 20_000)
     w = w[w >= np.finfo(dtype).eps]  # the smallest that the generator yields
     expected = ndtri(w.astype(np.float64))
-    error = np.abs(np.asarray(numerics.normal_quantile(jnp.asarray(w)), np.float64) - expected)
+    error = np.abs(np.asarray(special.normal_quantile(jnp.asarray(w)), np.float64) - expected)
     assert (error <= QUANTILE_TOLERANCE[dtype] * np.maximum(np.abs(expected), 1)).all()
 
 
@@ -131,16 +131,16 @@ def test_normal_quantile_is_odd_to_the_last_bit_and_infinite_at_the_ends(dtype):
     bits = np.finfo(dtype).nmant
     whole = np.random.default_rng(3).integers(1, 2**bits, 5000)
     w = np.ldexp(np.concatenate([whole, [1, 2, 3, 2**bits - 1]]).astype(dtype), -bits)  # 1 - w is exact
-    forth, back = (numerics.normal_quantile(jnp.asarray(v)) for v in (w, 1 - w))
+    forth, back = (special.normal_quantile(jnp.asarray(v)) for v in (w, 1 - w))
     np.testing.assert_array_equal(forth, -back)
-    np.testing.assert_array_equal(numerics.normal_quantile(jnp.array([0, 0.5, 1], dtype)), [-np.inf, 0, np.inf])
+    np.testing.assert_array_equal(special.normal_quantile(jnp.array([0, 0.5, 1], dtype)), [-np.inf, 0, np.inf])
 
 
 def test_the_slopes_of_the_normal_quantile_are_one_over_the_density(dtype):
     w = np.array([0.01, 0.3, 0.5, 0.9], dtype)
     z = ndtri(w.astype(np.float64))
     slope = np.sqrt(2 * np.pi) * np.exp(z * z / 2)
-    first, second = jax.grad(numerics.normal_quantile), jax.grad(jax.grad(numerics.normal_quantile))
+    first, second = jax.grad(special.normal_quantile), jax.grad(jax.grad(special.normal_quantile))
     tight = 20 * np.finfo(dtype).eps
     np.testing.assert_allclose(jax.vmap(first)(jnp.asarray(w)), slope, rtol=tight)
     np.testing.assert_allclose(jax.vmap(second)(jnp.asarray(w)), z * slope**2, rtol=tight, atol=tight)
@@ -149,13 +149,13 @@ def test_the_slopes_of_the_normal_quantile_are_one_over_the_density(dtype):
 
 def test_outside_of_the_unit_interval_there_is_no_quantile(dtype):
     outside = jnp.asarray([-0.1, 1.1, 1 + np.finfo(dtype).eps, 2, -5, np.nan], dtype)
-    assert np.isnan(numerics.normal_quantile(outside)).all()
+    assert np.isnan(special.normal_quantile(outside)).all()
 
 
 SINE_TOLERANCE = {np.float32: 2.4e-7, np.float64: 2.3e-16}
 
 
-@pytest.mark.parametrize(("function", "quarter"), [(numerics.sin_turns, 0), (numerics.cos_turns, 0.25)])
+@pytest.mark.parametrize(("function", "quarter"), [(special.sin_turns, 0), (special.cos_turns, 0.25)])
 def test_sines_of_turns(dtype, function, quarter):
     turns = np.random.default_rng(4).uniform(-1.5, 1.5, 20_000).astype(dtype)
     turns = np.concatenate([turns, turns[:1000] + dtype(1000), unit_points(dtype)])
@@ -170,8 +170,8 @@ def test_sines_of_turns(dtype, function, quarter):
 def test_sines_of_quarter_turns_are_exact(dtype):
     quarters = jnp.asarray(np.arange(-8, 9) / 4, dtype)
     expected = np.tile([0, 1, 0, -1], 5)[:17]
-    np.testing.assert_allclose(numerics.sin_turns(quarters), expected, atol=np.finfo(dtype).eps)
-    np.testing.assert_array_equal(np.asarray(numerics.sin_turns(quarters))[::2], 0)
+    np.testing.assert_allclose(special.sin_turns(quarters), expected, atol=np.finfo(dtype).eps)
+    np.testing.assert_array_equal(np.asarray(special.sin_turns(quarters))[::2], 0)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_sines_of_quarter_turns_are_exact(dtype):
     [[0.0], [-np.inf, -np.inf], [-np.inf, 0.5, -2], [1000, 999.5], [-1000, -1001, -np.inf], [3, 3, 3, 3]],
 )
 def test_log_sum(dtype, terms):
-    value = numerics.log_sum([jnp.asarray(t, dtype) for t in terms])
+    value = special.log_sum([jnp.asarray(t, dtype) for t in terms])
     np.testing.assert_allclose(value, logsumexp(terms), rtol=4 * np.finfo(dtype).eps)
     assert value.dtype == dtype
 
@@ -187,20 +187,20 @@ def test_log_sum(dtype, terms):
 @pytest.mark.parametrize("terms", [(0.3, 0.3), (0.3, -2.0), (-np.inf, 1.0), (-np.inf, -np.inf), (2.0, 2.0, -1.0)])
 def test_the_slopes_of_a_log_sum_are_the_shares(dtype, terms):
     """Of two that are equal each has a half; one of them had all."""
-    slopes = jax.grad(numerics.log_sum)([jnp.asarray(t, dtype) for t in terms])
+    slopes = jax.grad(special.log_sum)([jnp.asarray(t, dtype) for t in terms])
     shares = np.exp(np.array(terms) - logsumexp(terms)) if np.isfinite(max(terms)) else np.zeros(len(terms))
     np.testing.assert_allclose(slopes, shares, atol=4 * np.finfo(dtype).eps)
 
 
 def test_a_log_sum_of_what_is_undefined_is_undefined():
     for terms in ((np.nan, 0.0), (0.0, np.nan), (np.nan, -np.inf), (np.nan, np.inf)):
-        assert np.isnan(numerics.log_sum([jnp.asarray(t) for t in terms]))
-    assert np.isnan(jax.grad(lambda a: numerics.log_sum([a, jnp.asarray(0.0)]))(np.nan))
-    assert np.isposinf(numerics.log_sum([jnp.asarray(np.inf), jnp.asarray(-np.inf)]))
+        assert np.isnan(special.log_sum([jnp.asarray(t) for t in terms]))
+    assert np.isnan(jax.grad(lambda a: special.log_sum([a, jnp.asarray(0.0)]))(np.nan))
+    assert np.isposinf(special.log_sum([jnp.asarray(np.inf), jnp.asarray(-np.inf)]))
 
 
 def test_a_log_sum_bends_as_it_should(dtype):
-    bend = jax.hessian(lambda t: numerics.log_sum([t[0], t[1]]))(jnp.asarray([0.7, 0.7], dtype))
+    bend = jax.hessian(lambda t: special.log_sum([t[0], t[1]]))(jnp.asarray([0.7, 0.7], dtype))
     np.testing.assert_allclose(bend, [[0.25, -0.25], [-0.25, 0.25]], atol=1e-6)
 
 

@@ -16,7 +16,8 @@ import mcmc1d
 from experiments.support.bench import Go
 from mcmc1d.metropolis import Kernel
 from mcmc1d.moves import Move, SmallStep, StepAndChange, TechniqueChange
-from mcmc1d.numerics import cos_turns, limit, sin_turns
+from mcmc1d.numerics import limit
+from mcmc1d.special import cos_turns, sin_turns
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Inversion, PiecewiseConstant, Tent, density_within, within
 from mcmc1d.types import Scalar

@@ -13,8 +13,9 @@ from mcmc1d.metropolis import Kernel, Metropolis, Step
 from mcmc1d.moves import LargeStep, Mixture, Move, MultipleTry, Proposal, SmallStep, Stratified
 from mcmc1d.moves.base import around_the_ends
 from mcmc1d.moves.multiple_try import around, row
-from mcmc1d.numerics import below_one, normal_quantile, parameter, stratum
+from mcmc1d.numerics import below_one, parameter, stratum
 from mcmc1d.packets import AuxiliaryCentre, PublishedDeposit
+from mcmc1d.special import normal_quantile
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 

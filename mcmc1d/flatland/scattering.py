@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from mcmc1d.flatland.geometry import Frame, Numbers, Vector, Walls
-from mcmc1d.numerics import below_one, choose, cumulative, limit, normal_quantile, pick, unchoose
+from mcmc1d.numerics import below_one, choose, cumulative, limit, pick, unchoose
+from mcmc1d.special import normal_quantile
 from mcmc1d.types import Array, Bool, Index, Scalar
 
 

@@ -8,7 +8,8 @@ from mcmc1d.checks import require, require_instance, require_positive, require_w
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Move, Proposal, zero
 from mcmc1d.moves.primary import LargeStep
-from mcmc1d.numerics import normal_quantile, parameter, stratum, wrap
+from mcmc1d.numerics import parameter, stratum, wrap
+from mcmc1d.special import normal_quantile
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 

@@ -7,7 +7,8 @@ import numpy as np
 from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Proposal, around_the_ends, zero
-from mcmc1d.numerics import is_concrete, normal_quantile, parameter
+from mcmc1d.numerics import is_concrete, parameter
+from mcmc1d.special import normal_quantile
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 

@@ -7,7 +7,8 @@ from jax.scipy.special import ndtr
 from mcmc1d.checks import require_positive
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachNumber, Proposal
-from mcmc1d.numerics import normal_quantile, parameter, wrap
+from mcmc1d.numerics import parameter, wrap
+from mcmc1d.special import normal_quantile
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 

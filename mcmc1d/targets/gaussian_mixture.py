@@ -10,7 +10,8 @@ from scipy.special import ndtr
 
 from mcmc1d.checks import require, require_positive, rising
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, log_sum, parameter
+from mcmc1d.numerics import is_concrete, parameter
+from mcmc1d.special import log_sum
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Float, Real, Scalar
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from mcmc1d.checks import require, require_positive, rising
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, parameter, sin_turns
+from mcmc1d.numerics import is_concrete, parameter
+from mcmc1d.special import sin_turns
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
 

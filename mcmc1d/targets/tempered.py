@@ -8,8 +8,9 @@ import numpy as np
 
 from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, log_sum, parameter
+from mcmc1d.numerics import is_concrete, parameter
 from mcmc1d.quadrature import Outline
+from mcmc1d.special import log_sum
 from mcmc1d.targets.base import Edges, Target
 from mcmc1d.types import Array, Corners, Float, Scalar
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import below_one, cos_turns, is_concrete, limit, parameter, sin_turns, wrap
+from mcmc1d.numerics import below_one, is_concrete, limit, parameter, wrap
 from mcmc1d.quadrature import Outline
+from mcmc1d.special import cos_turns, sin_turns
 from mcmc1d.techniques.base import Forward, Inverse
 from mcmc1d.techniques.planar import ROUNDINGS, Planar
 from mcmc1d.types import Array, Corners, Float, Real, Scalar

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import choose, cumulative, is_concrete, log_sum, parameter, pick, unchoose
+from mcmc1d.numerics import choose, cumulative, is_concrete, parameter, pick, unchoose
+from mcmc1d.special import log_sum
 from mcmc1d.techniques.base import Forward, Inverse, Technique, checked_shape, dim_v
 from mcmc1d.types import Array, Corners, Float, Real, Scalar
 

@@ -7,7 +7,8 @@ from jax.lax import stop_gradient
 
 from mcmc1d.checks import require
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, limit, parameter, sin_turns
+from mcmc1d.numerics import is_concrete, limit, parameter
+from mcmc1d.special import sin_turns
 from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Scalar
 

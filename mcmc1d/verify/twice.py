@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from mcmc1d.compiling import quickly
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Move, Proposal
-from mcmc1d.numerics import still
+from mcmc1d.special import still
 from mcmc1d.state import Eval, Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Real, Scalar
 

@@ -8,7 +8,7 @@ import pytest
 from mcmc1d import Multiplexed, State
 from mcmc1d.moves import AimedJump, LargeStep, Move, MultipleTry, Proposal, SmallStep, TechniqueChange
 from mcmc1d.moves.technique import LOPSIDED
-from mcmc1d.numerics import normal_quantile
+from mcmc1d.special import normal_quantile
 from mcmc1d.targets import Checkerboard, Sinusoid
 from mcmc1d.techniques import Rectangle, Uniform
 from mcmc1d.verify import check_move, hard_target

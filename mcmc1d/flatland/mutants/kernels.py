@@ -12,7 +12,8 @@ from mcmc1d.flatland.mutants import Mutant, two_lamps
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import LargeStep, Mixture, Move, Proposal, ReversibleJump, SmallStep, StepAndChange
-from mcmc1d.numerics import below_one, normal_quantile
+from mcmc1d.numerics import below_one
+from mcmc1d.special import normal_quantile
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.techniques import Family, Technique
 from mcmc1d.types import Array, Float, Index, Scalar

@@ -19,7 +19,8 @@ from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.mixture import shares
-from mcmc1d.numerics import choose, cumulative, locate, log_sum, pick, unchoose
+from mcmc1d.numerics import choose, cumulative, locate, pick, unchoose
+from mcmc1d.special import log_sum
 from mcmc1d.state import Eval, Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Real, Scalar
 

@@ -7,7 +7,8 @@ from mcmc1d.checks import require_positive
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.mutations.base import layout, looked_at, reweighed, settled
 from mcmc1d.moves import Move, Proposal
-from mcmc1d.numerics import normal_quantile, parameter, pick, stratum, wrap
+from mcmc1d.numerics import parameter, pick, stratum, wrap
+from mcmc1d.special import normal_quantile
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Scalar
 

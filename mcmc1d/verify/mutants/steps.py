@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.base import zero
-from mcmc1d.numerics import normal_quantile
+from mcmc1d.special import normal_quantile
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float
 from mcmc1d.verify.mutants import Mutant
