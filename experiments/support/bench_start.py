@@ -63,7 +63,7 @@ def measure(show: Show) -> dict[str, Any]:
         cold = child()
         cached = [child(steps=steps) for steps in STEPS]
         both = [
-            tuple(child(cores=which, chains=16384, blocks=2, steps=8192)["seconds"] for which in (cores[-1:], cores))
+            tuple(child(cores=which, chains=16384, blocks=2, steps=24576)["seconds"] for which in (cores[-1:], cores))
             for _ in range(pairs)
         ]
     found: dict[str, Any] = {

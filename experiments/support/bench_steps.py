@@ -22,7 +22,7 @@ from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Inversion, PiecewiseConstant, Tent, density_within, within
 from mcmc1d.types import Scalar
 
-CHAINS, STEPS, BINS = 8192, 2048, 100
+CHAINS, STEPS, BINS = 8192, 8192, 100
 
 
 class Contestant(NamedTuple):

@@ -20,7 +20,7 @@ from mcmc1d.targets import GaussianMixture
 from mcmc1d.techniques import Uniform
 
 SIGMA = 0.1
-CHAINS, STEPS = 8192, 2048
+CHAINS, STEPS = 8192, 8192
 LONG, FEW = 2000, 64
 """Steps and chains of which the autocorrelation time is taken."""
 
