@@ -232,7 +232,7 @@ def acceptance(state: State, proposal: Proposal) -> Scalar:
     """
     log_ratio = proposal.state.seen.log_c - state.seen.log_c + proposal.log_det
     possible = proposal.inside & ~jnp.isnan(log_ratio)
-    return jnp.exp(jnp.where(possible, jnp.minimum(log_ratio, 0), -jnp.inf))
+    return jnp.exp(jnp.where(possible, jnp.where(log_ratio < 0, log_ratio, 0), -jnp.inf))
 
 
 def accept(

@@ -153,8 +153,16 @@ def choose(ends: Ends, value: Scalar) -> tuple[Index, Scalar]:
     Choosing with probabilities p is `choose(cumulative(p), value)`: a discrete choice made by an interval keeps,
     as the place, all that it does not use of its uniform number, and so it can be undone (`unchoose`).
     """
-    k = locate(ends, value)
-    lower, upper = entry(ends[:-1], k), entry(ends[1:], k)
+    n = len(ends) - 1
+    if n > _FEW:
+        k = locate(ends, value)
+        lower, upper = entry(ends[:-1], k), entry(ends[1:], k)
+    else:
+        # The comparisons that count the interval choose its ends as well.
+        k, lower, upper = jnp.zeros(jnp.shape(value), jnp.int32), ends[0], ends[1]
+        for j in range(1, n):
+            beyond = value >= ends[j]
+            k, lower, upper = k + beyond, jnp.where(beyond, ends[j], lower), jnp.where(beyond, ends[j + 1], upper)
     return k, below_one((value - lower) / (upper - lower))
 
 
