@@ -109,7 +109,8 @@ def test_the_table_is_written_between_the_marks(tmp_path):
 def _redrawn():
     """Whether figures were drawn since, as by `make reproduce`, which README names before `make test`."""
     try:
-        changed = subprocess.run(["git", "status", "--porcelain", "figures"], cwd=ROOT, capture_output=True, text=True)
+        command = ["git", "status", "--porcelain", "figures"]
+        changed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     except FileNotFoundError:
         return False
     return changed.returncode == 0 and changed.stdout.strip() != ""
@@ -119,7 +120,7 @@ def test_readme_shows_the_claims_of_the_committed_figures():
     if not list((ROOT / "figures").glob("*.json")):
         pytest.fail("figures/ has no results: run `make reproduce` and commit them")
     if _redrawn():
-        pytest.skip("figures/ is not as committed; `python -m experiments claims --write README.md` writes the table anew")
+        pytest.skip("figures/ is not as committed; `python -m experiments claims --write README.md` renews the table")
     lines = framework.markdown(framework.read_claims(ROOT / "figures"), framework.origins(ROOT / "figures"))
     assert "\n".join(lines) in (ROOT / "README.md").read_text()
 
