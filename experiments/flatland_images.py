@@ -32,9 +32,6 @@ STRICT = ("pt", "bdpt", "pssmlt_sum", "pssmlt_max", "mmlt", "rjmlt")
 BY_LENGTH = ("bdpt", "mmlt", "rjmlt")
 """Of which each length is looked at as well."""
 
-CHAINS = 2**18
-"""Of what runs chains: a deviation of their mean is bounded by their number."""
-
 
 @dataclass(frozen=True)
 class Config:
@@ -49,9 +46,11 @@ class Config:
     goal: float = 0.1
     """The error of a pixel that is to be found, of the total or, in a dark pixel, of the image's mean."""
     log2_work: int = 30
-    """No image may take more rays times segments."""
+    """No image may take more rays times segments, nor the exact starts of its chains."""
+    log2_chains: int = 14
+    """Of what runs chains: a deviation of their mean is bounded by their number."""
     longer: str = ""
-    """In these scenes it may take more."""
+    """In these scenes it may take more, and has more chains."""
     log2_longer: int = 4
     """How many times as many."""
 
@@ -80,22 +79,11 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     exact = dict(zip(scenes, known, strict=True))
     # Of all that there is, so that an image is held alike whatever is rendered beside it.
     level = LEVEL / (len(catalogue()) * len(INTEGRATORS | FURTHER))
-    points = [
-        (
-            s,
-            name,
-            config.lengths,
-            config.pixels,
-            config.log2_pilot,
-            config.goal,
-            config.log2_work + config.log2_longer * (s in longer),
-            seed,
-            level,
-            *exact[s],
-        )
-        for s in scenes
-        for name in names
-    ]
+    points = []
+    for s in scenes:
+        more = config.log2_longer * (s in longer)
+        sizes = config.log2_pilot, config.log2_chains + more, config.log2_work + more
+        points += [(s, n, config.lengths, config.pixels, *sizes, config.goal, seed, level, *exact[s]) for n in names]
     rows = progress.map("images", held, points)
 
     def grid(of: str) -> np.ndarray:
@@ -127,8 +115,9 @@ def held(
     lengths: int,
     pixels: int,
     log2_pilot: int,
-    goal: float,
+    log2_chains: int,
     log2_work: int,
+    goal: float,
     seed: int,
     level: float,
     values: list[Any],
@@ -142,7 +131,9 @@ def held(
     """
     make, of = (INTEGRATORS | FURTHER)[integrator], scene(name).with_pixels(pixels)
     if hasattr(make, "chains"):
-        make = replace(make, chains=CHAINS)
+        make = replace(make, chains=2**log2_chains)
+    if hasattr(make, "candidates"):
+        make = replace(make, candidates=2**log2_work // (lengths * len(of.segments)))
     unknown = {"detectable_length": [np.nan] * lengths, "twin": np.nan, "rays": 0.0, "samples": 0.0}
     try:
         for edges in range(1, lengths + 1):

@@ -18,7 +18,7 @@ _LARGEST_LOG = 300.0  # of a density, whose square float64 must hold
 _DARK = "nothing to start from, or log f is so low that f is 0 in float64: add a constant to it"
 _CANDIDATES = 2**16  # for exact starts, at once: one size, so that one program serves every count
 _PATIENCE = 2**22  # candidates of a row, after which it may be told that they will not do
-_MOST_CANDIDATES = 10_000 * 2**16  # of a row
+MOST_CANDIDATES = 10_000 * 2**16  # of a row
 
 # The counter of the numbers that are no step's: whatever key a user starts and runs with, none is used twice.
 _DRAWS = 2**31 - 1
@@ -118,6 +118,7 @@ def accepted(
     bound: Float[np.ndarray, " rows"],
     count: int,
     fix: str,
+    most: int = MOST_CANDIDATES,
 ) -> State:
     """`count` exact draws from each of several densities by rejection, (rows count) states.
 
@@ -125,7 +126,7 @@ def accepted(
     which is of the row that `owner` names, and a uniform number for each, finer than the least density over the bound
     that matters (see `independent_states`); `bound`, that the rows' densities are thought not to exceed: where a
     candidate does, it is raised, and the row's are drawn again. `StartError` with the `fix` to give, where they are
-    too narrow.
+    too narrow: a row would take more than `most` candidates.
     """
     rows, bound = len(bound), bound.copy()
     share = np.bincount(owner, minlength=rows)
@@ -137,10 +138,10 @@ def accepted(
         state, density, uniform = candidates(batch)
         state = jax.tree.map(np.asarray, state)
         batch += 1
-        most = np.zeros(rows)
-        np.maximum.at(most, owner, density)
-        for r in np.flatnonzero(most > bound):
-            bound[r], kept[r], found[r], since[r] = 1.25 * most[r], [], 0, batch
+        highest = np.zeros(rows)
+        np.maximum.at(highest, owner, density)
+        for r in np.flatnonzero(highest > bound):
+            bound[r], kept[r], found[r], since[r] = 1.25 * highest[r], [], 0, batch
         chosen = (uniform * bound[owner] < density) & (since < batch)[owner] & (found < count)[owner]
         for r in np.unique(owner[chosen]):
             mine = np.flatnonzero(chosen & (owner == r))
@@ -149,8 +150,8 @@ def accepted(
         # Long before the last candidate it can be told that they will not do.
         r = int(np.argmin(found))
         tried = int((batch - since[r]) * share[r])
-        hopeless = tried >= _PATIENCE and found[r] * _MOST_CANDIDATES < count * tried
-        if found[r] < count and (hopeless or batch * int(share[r]) >= _MOST_CANDIDATES):
+        hopeless = tried >= _PATIENCE and found[r] * most < count * tried
+        if found[r] < count and (hopeless or batch * int(share[r]) >= most):
             raise StartError(
                 f"{who}: {found[r]} of {count} states after {tried} candidates, because the density reaches "
                 f"{bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}"

@@ -110,6 +110,14 @@ def test_what_is_never_accepted_is_told_before_the_last_candidate():
         accepted("draws", candidates, np.zeros(2**16, int), np.ones(1), 5, "a lamp")
 
 
+def test_no_more_candidates_are_taken_than_were_allowed():
+    """Of four rows with 128 of a batch each, of which one takes a thousand candidates a state: not 1024, but 2^20."""
+    rare = [lambda x: float(x < 0.001)] + [lambda x: 1.0] * 3
+    with pytest.raises(StartError, match=r"draws: [0-3] of 512 states after 1024 candidates"):
+        accepted("draws", batches(rare, 3), OWNER, np.ones(4), 512, "none", most=1024)
+    assert accepted("draws", batches(rare, 3), OWNER, np.ones(4), 512, "none", most=2**20).u.shape == (2048, 1)
+
+
 def test_no_light_to_start_from_has_an_error_of_its_own():
     narrow = mcmc1d.targets.FromFunction(lambda x: jnp.where(jnp.abs(x - 0.3) < 1e-7, 1.0, 0.0))
     target = mcmc1d.Multiplexed(narrow, mcmc1d.techniques.Uniform(), probes=0)

@@ -15,6 +15,7 @@ from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.integrators.exposure import _candidates, exact_starts, highest_seen
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import scene
+from mcmc1d.starts import StartError
 
 pytestmark = pytest.mark.slow
 
@@ -120,6 +121,7 @@ def test_plans():
         ({"chains": 1}, "must be a whole number, 2 at least, not 1"),
         ({"test_share": 1.0}, "test_share and test_regions are shares"),
         ({"spent_on_b": 0.0}, "spent_on_b must be positive"),
+        ({"candidates": 0}, "StagedMLT: candidates must be a whole number, 1 at least, not 0"),
         ({"linear": 0}, "StagedMLT: linear must be a whole number, 1 at least, not 0"),
         ({"floor": -0.1}, "StagedMLT: floor must be positive"),
         ({"luminance": 0.0}, "StagedMLT: luminance must be positive"),
@@ -128,6 +130,11 @@ def test_plans():
 def test_settings_that_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         StagedMLT(**settings)
+
+
+def test_starts_take_no_more_candidates_than_are_allowed():
+    with pytest.raises(StartError, match="of 4096 states after 16384 candidates"):
+        StagedMLT(chains=4096, candidates=2**14).render(jax.random.key(0), BOX, 2, 4096)
 
 
 def test_what_can_not_be_done_is_said():

@@ -21,7 +21,7 @@ from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.rendering import STEPS_AT_ONCE
-from mcmc1d.starts import StartError, accepted, independent_states
+from mcmc1d.starts import MOST_CANDIDATES, StartError, accepted, independent_states
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Int, Key
 
@@ -146,12 +146,17 @@ def highest_seen(key: Key, target: Multiplexed) -> Float[np.ndarray, " n"]:
 
 
 def exact_starts(
-    key: Key, target: Multiplexed, values: Float[np.ndarray, "r n"], chains: int, highest: Float[np.ndarray, " n"]
+    key: Key,
+    target: Multiplexed,
+    values: Float[np.ndarray, "r n"],
+    chains: int,
+    highest: Float[np.ndarray, " n"],
+    most: int = MOST_CANDIDATES,
 ) -> State:
     """`chains` exact states for each row of `values`, (rows chains), by rejection: see `starts.accepted`.
 
     The first bound is 1.25 times what `highest` of `highest_seen` allows. Each row has candidates of its own, so that
-    replicas stay independent. `StartError` where rejection is hopeless.
+    replicas stay independent. `StartError` where it would take more than `most` of them for a row.
     """
     owner = np.arange(_CANDIDATES) % len(values)
     bound = 1.25 * (values * highest).max(1)
@@ -164,7 +169,7 @@ def exact_starts(
         state, density, pixel, uniform = _candidates(key, target, batch)
         return State(state.index, state.u.T), density * values[owner, pixel], uniform
 
-    return accepted("exact_starts", candidates, owner, bound, chains, "techniques that follow it")
+    return accepted("exact_starts", candidates, owner, bound, chains, "techniques that follow it", most)
 
 
 def _light(target: Multiplexed) -> OverPixels:

@@ -22,6 +22,7 @@ from mcmc1d.moves import LargeStep, Mixture, SmallStep, StepAndChange
 from mcmc1d.perception import EXPOSURE
 from mcmc1d.pixels import Pixels, resample
 from mcmc1d.stages import MultiStage, NoiseAware, Stage, plan
+from mcmc1d.starts import MOST_CANDIDATES
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Key
 
@@ -85,6 +86,8 @@ class StagedMLT(Integrator):
     test_regions: float = eqx.field(static=True, default=1 / 4)
     """Its resolution, as a share of the pixels."""
     chains: int = eqx.field(static=True, default=1024)
+    candidates: int = eqx.field(static=True, default=MOST_CANDIDATES)
+    """For the exact starts of a stage; should they take more, it is a `StartError`."""
     spent_on_b: float = eqx.field(static=True, default=0.25)
     """Samples for b, as a share of a stage's mutations."""
 
@@ -92,6 +95,7 @@ class StagedMLT(Integrator):
         require(self.scheme in SCHEMES, f"StagedMLT: scheme must be one of {', '.join(SCHEMES)}, not {self.scheme!r}")
         require_whole(self.chains, "StagedMLT: chains, for a standard error,", 2)
         require_whole(self.linear, "StagedMLT: linear")
+        require_whole(self.candidates, "StagedMLT: candidates")
         require_positive(self, floor=self.floor, luminance=self.luminance, spent_on_b=self.spent_on_b)
         shares = self.test_share, self.test_regions
         require(
@@ -164,7 +168,7 @@ class StagedMLT(Integrator):
             b = (values * exact).mean(1) if normaliser is None else normaliser.mean
             steps, start = max(1, round(stage.samples / self.chains)), None
             if b.all():
-                start = exact_starts(start_key, target, values, self.chains, highest)
+                start = exact_starts(start_key, target, values, self.chains, highest, self.candidates)
                 found = expose(step_key, self.kernel(), target, values, start, steps)
             else:  # no sample for b brought light: its product with what chains would deposit is zero
                 found = unexposed(replicas, self.chains, pixels)
