@@ -6,11 +6,9 @@ free, and section 7.1 does not say which its figure 3 has.
 """
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Any
 
-import emcee
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,9 +19,11 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
+from experiments.support.each_chain import EachMean, autocorrelation_time
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
+from mcmc1d.checks import require
 from mcmc1d.compiling import quickly
 from mcmc1d.moves import AimedJump, Mixture, Move, ReversibleJump, SmallStep, TechniqueChange
 from mcmc1d.techniques import Mixture as MixtureTechnique
@@ -56,9 +56,7 @@ class Config:
     burn: int = 1024
     """Steps of a wrong integrator's chains before that; the slowest forgets its start in 126, by its spectral gap."""
     blocks: int = 32
-    """Independent groups of chains: the standard errors are their spread."""
-    trace_chains: int = 64
-    trace_steps: int = 8192
+    """Independent groups of chains: the standard errors are their spread. Replicas come in groups of that size."""
     level: float = 1e-6
     """Probability that a right integrator is rejected by one test; there are two an integrator."""
     operator_points: int = 2**19
@@ -106,6 +104,11 @@ def _target(config: Config, mixture: Technique) -> mcmc1d.Multiplexed:
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every integrator: replicas tested after `replica_steps`, then histograms, acceptance and autocorrelation."""
+    size = config.chains / config.blocks
+    require(
+        size % 1 == 0 and config.replicas % size == 0,
+        f"rjmlt_fig3: blocks must divide the chains, and chains / blocks, which is {size:g}, the replicas",
+    )
     edges = np.linspace(0, 1, config.bins + 1)
     # The longest first, so that several processes end together: the wrong have their operators, step changes are cheap.
     order = sorted(RIGHT, key=lambda name: (RIGHT[name], name == "multiplexed"))
@@ -127,27 +130,25 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
     config = Config(**fields)
     target, move = integrators(config)[name]
     key = jax.random.fold_in(jax.random.key(seed), list(RIGHT).index(name))
-    first, second, third, fourth = jax.random.split(key, 4)
+    first, second, third = jax.random.split(key, 3)
     edges = np.linspace(0, 1, config.bins + 1)
     # One law for all: a wrong inverse changes neither f nor the densities.
     exact = _target(config, _MIXTURE).joint_masses(edges)
 
     # Blocks of one size and the same estimators, read or not: one program serves all three runs.
-    common: dict[str, Any] = {
-        "estimators": {"joint": mcmc1d.Histogram(config.bins, joint=True), "acceptance": mcmc1d.Acceptance()}
+    size = config.chains // config.blocks
+    asked = {
+        "joint": mcmc1d.Histogram(config.bins, joint=True),
+        "acceptance": mcmc1d.Acceptance(),
+        "mean": EachMean(size),
     }
 
+    def chains(stage: str, key: Any, count: int, steps: int, start: mcmc1d.State | None = None) -> mcmc1d.Run:
+        sizes: dict[str, Any] = {"steps": steps, "chains": count, "blocks": count // size}
+        return long_run(f"{name}: {stage}", key, move, target, estimators=asked, start=start, **sizes)
+
     # Independent chains, exact starts: a p-value without burn-in and without autocorrelation.
-    replicas = long_run(
-        f"{name}: replicas",
-        first,
-        move,
-        target,
-        steps=config.replica_steps,
-        chains=config.replicas,
-        blocks=math.gcd(config.replicas, config.replicas * config.blocks // config.chains),
-        **common,
-    )
+    replicas = chains("replicas", first, config.replicas, config.replica_steps)
     x = np.asarray(_samples(target, replicas.state))
     bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, config.bins - 1)
     counts = np.zeros(exact.shape)
@@ -156,24 +157,10 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
     # The histograms go on from there, and a wrong integrator's from where it has left the target's law behind.
     start = jax.tree.map(lambda leaf: leaf[: config.chains], replicas.state)
     if not RIGHT[name] and config.burn > 0:
-        size: dict[str, Any] = {"steps": config.burn, "chains": config.chains, "blocks": config.blocks}
-        start = long_run(f"{name}: burn-in", fourth, move, target, start=start, **size, **common).state
-    long = long_run(
-        f"{name}: histograms",
-        second,
-        move,
-        target,
-        steps=config.steps,
-        chains=config.chains,
-        blocks=config.blocks,
-        start=start,
-        **common,
-    )
+        start = chains("burn-in", third, config.chains, config.burn, start).state
+    long = chains("histograms", second, config.chains, config.steps, start)
     joint = long.mean("joint")
     per_block = long.sums["joint"].sum(1) * config.blocks / (config.chains * config.steps)
-
-    chains = mcmc1d.trace(third, move, target, steps=config.trace_steps, chains=config.trace_chains)
-    time = emcee.autocorr.integrated_time(chains.x[:, :, None], quiet=True)
     acceptance = long.acceptance()
 
     # What a wrong integrator's law must be, from its transition operator; a right one's is the exact law.
@@ -196,7 +183,7 @@ def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
             "p_joint": p_value(counts, exact),
             "gap": max(cdf_gap(counts.sum(0), exact.sum(0)), cdf_gap(counts, exact)),
             "acceptance": ("kind", [acceptance[kind] for kind in KINDS]),
-            "autocorrelation_time": float(time[0]),
+            "autocorrelation_time": autocorrelation_time(long.sums["mean"], config.steps),
         }
     )
     return found.to_dict()

@@ -1,6 +1,6 @@
-"""The histogram of each chain by itself: chains are independent, steps are not."""
+"""The histogram, and the mean, of each chain by itself: chains are independent, steps are not."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -26,3 +26,28 @@ class EachHistogram(Estimator):
         edges = jnp.asarray(self.edges, x.dtype)
         cell = jnp.clip(jnp.searchsorted(edges, x, side="right") - 1, 0, sums.shape[1] - 1)
         return sums.at[jnp.broadcast_to(jnp.arange(self.chains), cell.shape), cell].add(weight)
+
+
+class EachMean(Estimator):
+    """The sum of the scalar x of each of `chains` chains after each step, and that of its square: (chains,) each."""
+
+    chains: int = eqx.field(static=True)
+    reads_deposits: ClassVar[bool] = False
+
+    def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> tuple[jax.Array, jax.Array]:
+        zero = jnp.zeros(self.chains, dtype)
+        return zero, zero
+
+    def update(self, sums: tuple[jax.Array, jax.Array], steps: Step) -> tuple[jax.Array, jax.Array]:
+        x = steps.state.seen.x.astype(sums[0].dtype)
+        return sums[0] + x, sums[1] + x * x
+
+
+def autocorrelation_time(sums: tuple[np.ndarray, np.ndarray], steps: int) -> float:
+    """The integrated autocorrelation time of x, by the sums of `EachMean` over stationary chains of so many steps.
+
+    The variance of a chain's mean, over that of independent draws: known to sqrt(2 / chains) of it, and low by some
+    half of its share of the steps.
+    """
+    mean, square = (s.ravel() / steps for s in sums)
+    return float(steps * mean.var(ddof=1) / (square.mean() - mean.mean() ** 2))

@@ -16,8 +16,6 @@ SMALL = rjmlt_fig3.Config(
     steps=128,
     burn=256,
     blocks=8,
-    trace_chains=4,
-    trace_steps=256,
     operator_points=2**17,
 )
 
