@@ -16,7 +16,7 @@ from experiments.support.flatland_sharp import LOOKS, sharp
 from experiments.support.framework import Claim, chosen
 from experiments.support.sweep import Sweep
 from mcmc1d.flatland import Paths
-from mcmc1d.flatland.integrators import BIASED, FURTHER, INTEGRATORS, Image
+from mcmc1d.flatland.integrators import BIASED, FURTHER, INTEGRATORS, Image, StagedMLT
 from mcmc1d.flatland.integrators.compare import compare
 from mcmc1d.flatland.reference import image
 from mcmc1d.flatland.scenes import catalogue, scene
@@ -31,6 +31,15 @@ STRICT = ("pt", "bdpt", "pssmlt_sum", "pssmlt_max", "mmlt", "rjmlt")
 
 BY_LENGTH = ("bdpt", "mmlt", "rjmlt")
 """Of which each length is looked at as well."""
+
+CHAINS = 2**18
+"""Of what runs chains: a deviation of their mean is bounded by their number, and independent starts are half of it.
+
+In occluder MMLT finds errors of 2.6 % with as many, and of 7.3 % with 2^14 that are 16 times as long.
+"""
+
+WORK_OF_A_CHAIN = 2**16
+"""Rays times segments, at least, of a chain in stages, each of which draws its start anew."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +56,8 @@ class Config:
     """The error of a pixel that is to be found, of the total or, in a dark pixel, of the image's mean."""
     log2_work: int = 30
     """No image may take more rays times segments, nor the exact starts of its chains."""
-    log2_chains: int = 14
-    """Of what runs chains: a deviation of their mean is bounded by their number."""
     longer: str = ""
-    """In these scenes it may take more, and has more chains."""
+    """In these scenes it may take more."""
     log2_longer: int = 4
     """How many times as many."""
 
@@ -81,8 +88,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     level = LEVEL / (len(catalogue()) * len(INTEGRATORS | FURTHER))
     points = []
     for s in scenes:
-        more = config.log2_longer * (s in longer)
-        sizes = config.log2_pilot, config.log2_chains + more, config.log2_work + more
+        sizes = config.log2_pilot, config.log2_work + config.log2_longer * (s in longer)
         points += [(s, n, config.lengths, config.pixels, *sizes, config.goal, seed, level, *exact[s]) for n in names]
     rows = progress.map("images", held, points)
 
@@ -115,7 +121,6 @@ def held(
     lengths: int,
     pixels: int,
     log2_pilot: int,
-    log2_chains: int,
     log2_work: int,
     goal: float,
     seed: int,
@@ -130,10 +135,11 @@ def held(
     n; and whether the integrator can not make this scene's light.
     """
     make, of = (INTEGRATORS | FURTHER)[integrator], scene(name).with_pixels(pixels)
-    if hasattr(make, "chains"):
-        make = replace(make, chains=2**log2_chains)
-    if hasattr(make, "candidates"):
-        make = replace(make, candidates=2**log2_work // (lengths * len(of.segments)))
+    if isinstance(make, StagedMLT):
+        chains = max(2, min(CHAINS, 2**log2_work // WORK_OF_A_CHAIN))
+        make = replace(make, chains=chains, candidates=2**log2_work // (lengths * len(of.segments)))
+    elif hasattr(make, "chains"):
+        make = replace(make, chains=CHAINS)
     unknown = {"detectable_length": [np.nan] * lengths, "twin": np.nan, "rays": 0.0, "samples": 0.0}
     try:
         for edges in range(1, lengths + 1):

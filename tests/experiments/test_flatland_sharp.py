@@ -69,7 +69,7 @@ def _row(monkeypatch, error):
 
     monkeypatch.setattr(flatland_images, "sharp", sharp)
     dark = [[0.0] * 4] * 2
-    return flatland_images.held("box", "multi_stage", 2, 4, 4, 4, 10, 0.1, 0, 1e-6, dark, dark)
+    return flatland_images.held("box", "multi_stage", 2, 4, 4, 10, 0.1, 0, 1e-6, dark, dark)
 
 
 def test_an_image_that_chains_can_not_start_has_no_bound(monkeypatch):
