@@ -25,12 +25,12 @@ from scipy.stats import ttest_1samp, ttest_ind
 
 import mcmc1d
 from experiments.support.cmlt_cache_rays import coherent, mlt, radiosity, target
-from experiments.support.framework import Claim
+from experiments.support.framework import Claim, chosen
 from experiments.support.segment_cache import Grid, hit_rates
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import among
 from mcmc1d.flatland import Paths
-from mcmc1d.flatland.scenes import scene
+from mcmc1d.flatland.scenes import catalogue, scene
 
 SOURCE = "Segovia et al. 2007, sec. 7.3, table 1"
 
@@ -77,7 +77,7 @@ _TOGETHER = 32
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The hit rates of every run."""
-    names = config.scenes.split()
+    names = chosen(config.scenes, catalogue())
     firsts = range(0, config.runs, _TOGETHER)
     points = [(name, first, asdict(config), seed) for name in names for first in firsts]
     parts = progress.map("runs", measure, points)

@@ -22,7 +22,7 @@ from rich.table import Table
 import mcmc1d
 from experiments.support.flatland_chains import close, films
 from experiments.support.flatland_manifold_results import claims, figure
-from experiments.support.framework import chosen
+from experiments.support.framework import between, chosen, numbers
 from experiments.support.sweep import Sweep
 from mcmc1d.checks import require
 from mcmc1d.flatland import Paths
@@ -70,10 +70,10 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     require(
         config.runs >= 32, f"runs are 32 at least, for a standard error in a pixel that few reach, not {config.runs}"
     )
-    names, lengths = chosen(config.scenes, catalogue()), list(range(config.shortest, config.longest + 1))
+    names, lengths = chosen(config.scenes, catalogue()), between(config.shortest, config.longest)
     points = [(name, k, asdict(config), seed) for name in names for k in lengths]
     found = progress.map("scenes and lengths", measure, points)
-    methods, budgets = [*METHODS, TWIN], [int(n) for n in config.budgets.split()]
+    methods, budgets = [*METHODS, TWIN], numbers("budgets", config.budgets)
     shape = len(names), len(lengths)
 
     def of(part: str) -> np.ndarray:
@@ -121,7 +121,7 @@ def measure(name: str, edges: int, fields: dict[str, Any], seed: int) -> dict[st
     residual, accepted, time = [], [], []
     for k, method in enumerate((*METHODS, TWIN)):
         kernel, each = _kernel(config, target, paths, method)
-        steps = [int(int(rays) / each) for rays in config.budgets.split()]
+        steps = [int(rays / each) for rays in numbers("budgets", config.budgets)]
         own, asked = jax.random.fold_in(key, 1 + k), {"kinds": mcmc1d.Acceptance()}
         ran = films(method, own, kernel, target, paths, config.runs, steps, asked, start)
         residual.append(config.pixels * reference.mean() * ran.films - reference)

@@ -24,11 +24,11 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from experiments.support.flatland_equal import critical, judged, root, squared
-from experiments.support.flatland_glossy import GLOSSY_DOOR
+from experiments.support.flatland_glossy import GLOSSY_DOOR, with_glossy_door
 from experiments.support.flatland_rivals import CHAINS, INTEGRATORS
 from experiments.support.flatland_sayings import RIVALRIES, SOURCE
 from experiments.support.flatland_work import Work, draw_errors, gathered, measured
-from experiments.support.framework import Claim
+from experiments.support.framework import Claim, between, chosen
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import among, verdict
 
@@ -57,7 +57,7 @@ SHARP = 0.1
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every integrator on every scene and path length; the comparison is of all lengths together."""
-    names, lengths = config.scenes.split(), list(range(config.shortest, config.longest + 1))
+    names, lengths = chosen(config.scenes, with_glossy_door()), between(config.shortest, config.longest)
     points = [(name, k, asdict(config), seed) for name in names for k in lengths]
     return gathered(progress.map("scenes and lengths", measure, points), names, config)
 

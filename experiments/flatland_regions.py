@@ -17,10 +17,10 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from experiments.support.flatland_equal import Rivalry, critical, judged, log_ratio, mean_ratio, root, squared
-from experiments.support.flatland_glossy import GLOSSY_DOOR
+from experiments.support.flatland_glossy import GLOSSY_DOOR, marked, with_glossy_door
 from experiments.support.flatland_sayings import AGAINST, SOURCE
 from experiments.support.flatland_work import Work, draw_errors, gathered, measured
-from experiments.support.framework import Claim
+from experiments.support.framework import Claim, between, chosen
 from experiments.support.intervals import DECIDES, Ratio, shown
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import among
@@ -51,7 +51,10 @@ COMPARABLE = 1.5
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The three on every scene and path length, part by part."""
-    names, lengths = config.scenes.split(), range(config.shortest, config.longest + 1)
+    known, lengths = with_glossy_door(), between(config.shortest, config.longest)
+    names = chosen(config.scenes, known)
+    for name in names:
+        marked(known[name]().with_pixels(config.pixels))  # told at once, not when all has been measured
     points = [(name, k, asdict(config), seed) for name in names for k in lengths]
     found = progress.map("scenes and lengths", measure, points)
     return gathered(found, names, config, regions=True, integrators=INTEGRATORS)

@@ -24,7 +24,7 @@ from rich.table import Table
 from experiments.support.flatland_acceptance import PAPER, SHOWN, acceptance_claims, accepted
 from experiments.support.flatland_chains import METHODS
 from experiments.support.flatland_stability import STATISTICS, compared, converge, stability_claims
-from experiments.support.framework import Claim, chosen
+from experiments.support.framework import Claim, chosen, numbers
 from experiments.support.sweep import Sweep
 from mcmc1d.checks import require
 from mcmc1d.flatland.scenes import catalogue
@@ -77,11 +77,13 @@ LONG = True
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Acceptance of each kind of move by path length; the errors of each run of each method on each scene."""
     require(config.doublings >= 4, f"doublings are 4 at least, for three looks, not {config.doublings}")
-    edges, names = [int(k) for k in config.acceptance_lengths.split()], chosen(config.scenes, catalogue())
-    lengths = [int(k) for k in config.lengths.split()]
+    known = catalogue()
+    names, scene = chosen(config.scenes, known), config.acceptance_scene
+    require(scene in known, f"there is no {scene}; known: {', '.join(known)}")
+    edges, lengths = (numbers(of, getattr(config, of)) for of in ("acceptance_lengths", "lengths"))
     steps = [config.first * 2**k for k in range(config.doublings + 1)]
     moves = config.sigma, config.large, config.jump
-    asked = [(k, config.acceptance_scene, config.pixels, config.states, moves, seed) for k in edges]
+    asked = [(k, scene, config.pixels, config.states, moves, seed) for k in edges]
     rates = progress.map("acceptance", accepted, asked)
     points = [(name, lengths, config.pixels, config.runs, steps, moves, config.batches, seed) for name in names]
     errors = progress.map("convergence", converge, points)

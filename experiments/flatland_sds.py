@@ -24,7 +24,9 @@ from experiments.support.flatland_chains import close, films, multiplexed_kernel
 from experiments.support.flatland_rivals import contributions
 from experiments.support.flatland_sds_claims import claims
 from experiments.support.flatland_sds_figure import figure
+from experiments.support.framework import numbers
 from experiments.support.sweep import Sweep
+from mcmc1d.checks import require
 from mcmc1d.flatland import Paths, Scene
 from mcmc1d.flatland.integrators import MLT, BidirectionalPathTracing, PhotonDensity
 from mcmc1d.flatland.mutations import VEACH, ManifoldStep
@@ -80,7 +82,8 @@ _PATHS = 12
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Of 4 edges every lamp; of 3 the one in the middle, and of it the bias of photons."""
-    widths = [float(w) for w in config.widths.split()]
+    widths = numbers("widths", config.widths, float)
+    require(config.radius in _radii(config), f"radius is one of the radii, {config.radii}, not {config.radius}")
     middle = widths[len(widths) // 2]
     points = [(middle, EDGES[0], asdict(config), seed), *((w, EDGES[1], asdict(config), seed) for w in widths)]
     direct, *hidden = (_dataset(one) for one in progress.map("lamps", measure, points))
@@ -95,11 +98,11 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
 
 
 def _radii(config: Config) -> list[float]:
-    return [float(r) for r in config.radii.split()]
+    return numbers("radii", config.radii, float)
 
 
 def _budgets(config: Config) -> list[int]:
-    return [int(n) for n in config.budgets.split()]
+    return numbers("budgets", config.budgets)
 
 
 def _dataset(one: dict[str, Any]) -> xr.Dataset:

@@ -15,7 +15,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 import mcmc1d
-from experiments.support.framework import Claim
+from experiments.support.framework import Claim, chosen
 from experiments.support.roofline import operations, roof
 from experiments.support.sweep import Sweep
 from mcmc1d.estimators import added, empty
@@ -23,7 +23,7 @@ from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import INTEGRATORS, Integrator
 from mcmc1d.flatland.integrators.chains import EachChain, Metropolised
 from mcmc1d.flatland.sampling import exposed
-from mcmc1d.flatland.scenes import scene
+from mcmc1d.flatland.scenes import catalogue, scene
 from mcmc1d.numerics import cast
 from mcmc1d.random import uniforms
 from mcmc1d.starts import uniform_states
@@ -56,8 +56,7 @@ PROFILES = {
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Time each, one after the other on one core; compilation is left out."""
-    scenes = config.scenes.split()
-    names = list(INTEGRATORS) if config.integrators == "all" else config.integrators.split()
+    scenes, names = chosen(config.scenes, catalogue()), chosen(config.integrators, INTEGRATORS)
     points = [(s, name, config.edges, config.log2_samples, config.rounds, seed) for s in scenes for name in names]
     found = np.array(progress.map("speed", rate, points, timed=True)).reshape(len(scenes), len(names), 3)
     cells = ("scene", "integrator")

@@ -24,12 +24,12 @@ from scipy.stats import sem
 from scipy.stats import t as student
 
 from experiments.support.flatland_chains import METHODS, Lit, close, films, multiplexed_kernel
-from experiments.support.framework import Claim
+from experiments.support.framework import Claim, between, chosen
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import among
 from mcmc1d.flatland import Paths
 from mcmc1d.flatland.integrators import BidirectionalPathTracing, PathTracing
-from mcmc1d.flatland.scenes import scene
+from mcmc1d.flatland.scenes import catalogue, scene
 from mcmc1d.numerics import cast
 from mcmc1d.pooled import Pooled
 from mcmc1d.random import uniforms
@@ -78,7 +78,7 @@ _BATCH = 2**14
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """The share of each, by scene and length."""
-    names, lengths = config.scenes.split(), list(range(config.shortest, config.longest + 1))
+    names, lengths = chosen(config.scenes, catalogue()), between(config.shortest, config.longest)
     points = [(name, k, asdict(config), seed) for name in names for k in lengths]
     found = np.array(progress.map("scenes and lengths", measure, points), np.float64)
     found = found.reshape(len(names), len(lengths), len(INTEGRATORS), 2)

@@ -1,5 +1,6 @@
 """A door with glossy walls, and which pixels of a scene see gloss."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from mcmc1d.checks import require
 from mcmc1d.flatland.plane import cross
 from mcmc1d.flatland.scene import Material, Pinhole, Scene
-from mcmc1d.flatland.scenes import scene
+from mcmc1d.flatland.scenes import catalogue, scene
 
 GLOSSY_DOOR = "glossy_door"
 _GLOSSY = (((3.0, 3.0), (0.0, 3.0)), ((3.2, 0.0), (6.2, 0.0)))
@@ -16,10 +17,13 @@ _THROUGH = 16
 """Directions in which one looks through a pixel."""
 
 
-def known(name: str) -> Scene:
-    """`glossy_door`, which is `door` with two glossy walls, or a scene of the catalogue."""
-    if name != GLOSSY_DOOR:
-        return scene(name)
+def with_glossy_door() -> dict[str, Callable[[], Scene]]:
+    """The catalogue, and `glossy_door`."""
+    return {**catalogue(), GLOSSY_DOOR: glossy_door}
+
+
+def glossy_door() -> Scene:
+    """`door` with two glossy walls."""
     door, glossy = scene("door"), Material(lambert=0.15, glossy=0.6, exponent=20)
     found = [segment for segment in door.segments if (segment.start, segment.end) in _GLOSSY]
     require(
@@ -32,11 +36,15 @@ def known(name: str) -> Scene:
 def marked(scene: Scene) -> dict[str, np.ndarray]:
     """Which pixels of a pinhole see glossy walls in all of their width, and which in none of it: (pixels,) each."""
     sensor = scene.sensor
-    assert isinstance(sensor, Pinhole)
+    if not isinstance(sensor, Pinhole):
+        raise ValueError(f"scene {scene.name} has a wall sensor, whose pixels see all walls: give one with a pinhole")
     film = (np.arange(sensor.pixels * _THROUGH) + 0.5) / (sensor.pixels * _THROUGH)
     glossy = np.array([segment.material.glossy > 0 for segment in scene.segments])
     seen = glossy[_first(scene, sensor, film)].reshape(sensor.pixels, _THROUGH)
-    return {"glossy": np.asarray(seen.all(1)), "diffuse": np.asarray(~seen.any(1))}
+    marks = {"glossy": np.asarray(seen.all(1)), "diffuse": np.asarray(~seen.any(1))}
+    none = [part for part, pixels in marks.items() if not pixels.any()]
+    require(not none, f"no pixel of scene {scene.name} sees {' or '.join(none)} walls alone: nothing to compare")
+    return marks
 
 
 def _first(scene: Scene, sensor: Pinhole, film: np.ndarray) -> np.ndarray:
@@ -50,4 +58,4 @@ def _first(scene: Scene, sensor: Pinhole, film: np.ndarray) -> np.ndarray:
     return np.where((distance > 0) & (place >= 0) & (place <= 1), distance, np.inf).argmin(1)
 
 
-__all__ = ["GLOSSY_DOOR", "known", "marked"]
+__all__ = ["GLOSSY_DOOR", "marked", "with_glossy_door"]

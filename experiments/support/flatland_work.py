@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from experiments.support.flatland_equal import WHOLE, root
-from experiments.support.flatland_glossy import known, marked
+from experiments.support.flatland_glossy import marked, with_glossy_door
 from experiments.support.flatland_rivals import INTEGRATORS, Rivals, dark, everyone
+from experiments.support.framework import between
 from mcmc1d.flatland import Paths, Scene
 from mcmc1d.flatland.integrators import BidirectionalPathTracing
 from mcmc1d.flatland.reference import Reference, Resolution, image
@@ -68,7 +69,7 @@ def measured(
     integrators: tuple[str, ...] = INTEGRATORS,
 ) -> dict[str, Any]:
     """One scene and path length: what JSON can hold of it. `regions`: errors are also of the pixels that see gloss."""
-    scene = known(name).with_pixels(config.pixels)
+    scene = with_glossy_door()[name]().with_pixels(config.pixels)
     reference = exact(scene, edges)
     paths, values = Paths(scene, edges), reference.values[-1]
     rivals = Rivals(
@@ -98,12 +99,13 @@ def gathered(
     integrators: tuple[str, ...] = INTEGRATORS,
 ) -> xr.Dataset:
     """What `measured` found of each scene and length, scene by scene."""
-    lengths = list(range(config.shortest, config.longest + 1))
+    lengths = between(config.shortest, config.longest)
     each = [_dataset(one) for one in found]
     rows = [each[first : first + len(lengths)] for first in range(0, len(each), len(lengths))]
     # Of a scene and length with fewer techniques than another the rest is NaN.
     data = xr.concat([xr.concat(row, "edges", join="outer") for row in rows], "scene", join="outer")
-    parts = [_members(known(name).with_pixels(config.pixels), regions) for name in names]
+    scenes = [with_glossy_door()[name]().with_pixels(config.pixels) for name in names]
+    parts = [_members(scene, regions) for scene in scenes]
     return data.assign_coords(
         scene=list(names), edges=lengths, integrator=list(integrators), part=list(parts[0])
     ).assign(

@@ -61,9 +61,26 @@ def names() -> list[str]:
 def chosen(text: str, known: Mapping[str, Any]) -> list[str]:
     """The names in a configuration's list, or with "all" all that are known; `ValueError` where one is not."""
     named = list(known) if text == "all" else text.split()
-    unknown = [name for name in named if name not in known]
-    require(not unknown, f"there is no {', '.join(unknown)}; known: {', '.join(known)}")
+    wrong = [name for name in named if name not in known]
+    require(len(named) > 0 and not wrong, f"there is no {', '.join(wrong) or repr(text)}; known: {', '.join(known)}")
     return named
+
+
+def numbers(name: str, text: str, kind: type = int) -> list[Any]:
+    """The positive numbers in the configuration's list `name`; `ValueError` where there is none, or one is not that."""
+    try:
+        found = [kind(part) for part in text.split()]
+    except ValueError:
+        found = []
+    wanted = "whole numbers" if kind is int else "numbers"
+    require(len(found) > 0 and min(found) > 0, f"{name} takes positive {wanted} with spaces between them, not {text!r}")
+    return found
+
+
+def between(shortest: int, longest: int) -> list[int]:
+    """The path lengths of a configuration; `ValueError` where there is none."""
+    require(1 <= shortest <= longest, f"paths have 1 to `longest` edges, not {shortest} to {longest}")
+    return list(range(shortest, longest + 1))
 
 
 def load(name: str) -> ModuleType:
