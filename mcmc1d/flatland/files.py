@@ -3,11 +3,11 @@
     name = "lamp and floor"
 
     [materials.lamp]            # of any name; every key may be left out
-    emission = 2.0              # radiance, the same in all directions
+    emission = 2.0              # radiance, the same in all directions; 0, or from 1e-9 to 1e9
     [materials.floor]
     lambert = 0.4               # reflectances of the three lobes; they sum to 1 at most
     glossy = 0.2
-    exponent = 50               # of the glossy lobe, a whole number; 20 if left out
+    exponent = 50               # of the glossy lobe, a whole number from 1 to 200; 20 if left out
     mirror = 0.1
 
     [[segments]]                # one wall: its front is to the left of the way from start to end
@@ -171,7 +171,10 @@ def _blamed(message: str, places: list[Keys], segments: list[Segment]) -> Keys:
 
 
 def write(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene as TOML, so that `read` returns an equal one to the last bit; an old file is replaced whole."""
+    """Write a scene as TOML, so that `read` returns an equal one to the last bit; an old file is replaced whole.
+
+    Raises `OSError` where the file can not be written.
+    """
     names = _material_names(scene)
     parts = [f"name = {basic_string(scene.name)}"]
     for material, name in names.items():

@@ -15,7 +15,7 @@ from mcmc1d.flatland.paths import Light, Paths
 from mcmc1d.flatland.sampling import exposed
 from mcmc1d.metropolis import Kernel, Step
 from mcmc1d.numerics import cast
-from mcmc1d.starts import Normalisation
+from mcmc1d.starts import Normalisation, require_multiplexed
 from mcmc1d.state import Multiplexed
 from mcmc1d.types import Array, Float, Key
 
@@ -57,6 +57,7 @@ def picture(run: Run, name: str, b: float | Normalisation) -> Picture:
 
     Known, or as `normalisation` estimates it: then its error is part of the image's.
     """
+    require_instance(run, Run, "picture: the run")
     value, error = b if isinstance(b, Normalisation) else (b, 0.0)
     number = np.ndim(value) == 0 and np.asarray(value).dtype.kind in "iuf"
     require(number, f"picture: b is a number, or a Normalisation, not {b!r}")
@@ -73,9 +74,8 @@ def independent(key: Key, target: Multiplexed, samples: int) -> Picture:
     Bidirectional path tracing where the techniques are all of `Bidirectional`; path or light tracing with some.
     `samples`: rounded up to a multiple of 4096, which are drawn at once.
     """
-    light = target.target
-    require(isinstance(light, Light), f"independent: the target must be flatland's Light, not {type(light).__name__}")
-    assert isinstance(light, Light)
+    require_multiplexed(target, "independent")
+    light = require_instance(target.target, Light, "independent: what is multiplexed")
     require_key(key, "independent")
     require_whole(samples, "independent: samples")
     found = exposed(key, target, light.paths, samples, np.inf)

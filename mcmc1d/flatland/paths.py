@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require, require_whole
+from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.geometry import Vector, Walls, where
 from mcmc1d.flatland.scattering import Local, brdf, local, log_density
@@ -236,6 +236,9 @@ class Light(Target):
     """f of `Paths`: its integral over the x that arrive in a pixel, times the number of pixels, is the pixel."""
 
     paths: Paths
+
+    def __check_init__(self):
+        require_instance(self.paths, Paths, "Light: the paths")
 
     @property
     def domain(self) -> Corners:

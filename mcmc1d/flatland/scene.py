@@ -22,6 +22,14 @@ def _is_number(value: Any) -> bool:
     return not isinstance(value, int) or abs(value) <= sys.float_info.max
 
 
+def _require_pixels(pixels: Any, who: str) -> None:
+    require_whole(pixels, f"{who}: pixels")
+    require(pixels <= _MOST_PIXELS, f"{who}: pixels must be {_MOST_PIXELS} at most, not {pixels}")
+
+
+_MOST_PIXELS = 10**6
+
+
 @dataclass(frozen=True)
 class Material:
     """How a segment's front emits and scatters; its back is black.
@@ -103,7 +111,7 @@ class Pinhole:
     pixels: int = 16
 
     def __post_init__(self):
-        require_whole(self.pixels, "Pinhole: pixels")
+        _require_pixels(self.pixels, "Pinhole")
         for name in ("position", "direction"):
             object.__setattr__(self, name, _point(getattr(self, name), f"Pinhole: {name}"))
         require(
@@ -130,7 +138,7 @@ class Wall:
     pixels: int = 16
 
     def __post_init__(self):
-        require_whole(self.pixels, "Wall: pixels")
+        _require_pixels(self.pixels, "Wall")
         require(isinstance(self.segment, str), f"Wall: segment is a segment's name, not {self.segment!r}")
 
 

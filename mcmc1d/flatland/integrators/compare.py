@@ -5,7 +5,7 @@ known without a central limit: rare bright paths, which no sample variance has s
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -127,8 +127,8 @@ def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, 
     require_instance(image, Image, "compare: the image")
     known = isinstance(level, int | float | np.floating) and 0 < level < 1
     require(known, f"compare: the level is a probability over 0 and under 1, not {level!r}")
-    values = np.asarray(values, np.float64)
-    errors = np.zeros_like(values) if errors is None else np.asarray(errors, np.float64)
+    values = _numbers("the exact image", values)
+    errors = np.zeros_like(values) if errors is None else _numbers("its errors", errors)
     require(
         values.shape == errors.shape == image.values.shape,
         f"compare: the image has {image.values.shape} lengths and pixels; the exact one {values.shape}, its errors "
@@ -152,6 +152,16 @@ def compare(image: Image, values: np.ndarray, errors: np.ndarray | None = None, 
     widest = np.where((scale > 0) | (found > 0), around + known - ndtri(0.01) * error, 0)
     detectable = np.divide(widest, scale, out=np.where(widest > 0, np.inf, 0), where=scale > 0)
     return Comparison(excess, detectable)
+
+
+def _numbers(what: str, given: Any) -> np.ndarray:
+    try:
+        return np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"compare: {what} must be an array of numbers, (lengths, pixels), not a {type(given).__name__}; "
+            "of a Reference give both, its values and its errors"
+        ) from None
 
 
 __all__ = ["Comparison", "bernstein_radius", "compare", "radius"]

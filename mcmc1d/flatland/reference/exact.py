@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mcmc1d.checks import require_whole
+from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.flatland.reference.mesh import Resolution
 from mcmc1d.flatland.reference.operators import TooLargeError
 from mcmc1d.flatland.reference.rays import Geometry
@@ -16,7 +16,7 @@ from mcmc1d.flatland.scene import Pinhole, Scene, Wall, require_scene
 SMALL = Resolution()
 """For scenes of a few segments, of Lambert's lobe and mirrors: 1e-6 of the mean, or better; 1e-3 after many mirrors."""
 GLOSSY = Resolution(order=7, points=9, smallest=1e-3, lobe=2.0)
-"""For a few segments, of which some are glossy: 1.5e-3 of the mean, at low exponents too.
+"""For a few segments, of which some are glossy: 4e-3 of the mean, at low exponents too.
 
 More where light goes to and fro between glossy walls: two in a corner 1e-2 by four edges, 0.15 by five.
 """
@@ -41,7 +41,9 @@ class Reference:
     `errors` compares with a computation on panels twice as long, with two nodes fewer in each: of a length, the largest
     difference in any pixel (in one alone it may be small by accident), plus 1e-13 of the largest value for rounding.
     It is the coarser computation's error; the finer one's, of the values, is 4 to 8 times smaller or better. Where a
-    lobe is glossy it is less sure, for quadrature meets the bend of max(cos_i, cos_o) where it will: there 3 times it.
+    lobe is glossy it is less sure, for quadrature meets the bend of max(cos_i, cos_o) where it will, and two computations
+    may be off alike: there 3 times it, or an eighth of the same difference of the coarser one and a third, coarser yet,
+    whichever is more: half as much again as what errors that fall fourfold would leave of it.
 
     Added is what both miss between their nodes: in each interval between neighbouring shadow lines that holds no node,
     twice the difference, in its middle, of the irradiance and the nodes' polynomial. Where the sensor sees it, it is
@@ -100,7 +102,9 @@ def _shadow_lines(scene: Scene, depth: int) -> ShadowLines | None:
 def _compared(
     scene: Scene, resolution: Resolution | None, compute: Callable[[Resolution], tuple[np.ndarray, Bound]]
 ) -> Reference:
-    """The finer of two computations, and its errors; the light that it may have left out is asked of it alone."""
+    """The finest of several computations, and its errors; the light that it may have left out is asked of it alone."""
+    if resolution is not None:
+        require_instance(resolution, Resolution, "resolution")
     default = _LARGE if len(scene.segments) >= _MANY else _GLOSSY if scene.glossy else _SMALL
     coarse, *rougher = default if resolution is None else (resolution,)
     while True:
@@ -115,7 +119,10 @@ def _compared(
                 raise
             coarse = rougher.pop(0)
     rounding = 1e-13 * np.abs(second).max(initial=0)
-    worst = (3 if scene.glossy else 1) * np.abs(second - first).max(1, keepdims=True)
+    worst = np.abs(second - first).max(1, keepdims=True)
+    if scene.glossy:
+        rough, _ = compute(coarse.coarser())
+        worst = np.maximum(3 * worst, np.abs(first - rough).max(1, keepdims=True) / 8)
     worst = worst + bound.max(1, keepdims=True)
     return Reference(second, np.broadcast_to(worst + rounding, second.shape).copy())
 
