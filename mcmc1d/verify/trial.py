@@ -129,10 +129,9 @@ class Trial:
             if self.reasons:
                 return
             verdict = self.scheme.decide(stage, self.combined(tally))
-            if verdict == "fail":
-                self._failed(tally)
+            if verdict == "fail" and self._failed(tally, self.scheme.beta(stage)):
                 return
-            if verdict == "pass":
+            if verdict != "more":
                 self._stray(tally)
                 break
             n = n * self.grow if stage == 1 else n
@@ -197,8 +196,7 @@ class Trial:
                 self.progress(total.n, n)
             if stage == 1 and not looked and total.n * _LOOKS >= n:
                 looked = True
-                if self.combined(total) <= self.scheme.early:
-                    self._failed(total)
+                if self.combined(total) <= self.scheme.early and self._failed(total, self.scheme.early):
                     return total
         return total
 
@@ -210,13 +208,19 @@ class Trial:
         """The smallest p-value times the number of tests."""
         return min(1.0, len(self.keys) * min(self.p_values(tally).values(), default=1.0))
 
-    def _failed(self, tally: Tally) -> None:
+    def _failed(self, tally: Tally, level: float) -> bool:
+        """Whether the kernel has failed, at the level of its stage; `LawError` where the law has, at the first one's.
+
+        A late stage asks for little evidence, because a right kernel seldom comes there. A wrong one does, and its law
+        may be right: to blame the law takes as much as if nothing had been seen before, of more draws where need be.
+        """
         values = self.p_values(tally)
-        threshold = self.scheme.beta(max(self.stages, 1)) / len(self.keys)
-        self._blame_the_law(tally, threshold)
+        self._blame_the_law(tally)
         if min(values.values()) > _NARROW and any(steps == 0 for steps, _ in self.keys):
-            self._blame_the_law(self.sampler.of_the_law(self.stages, min(8 * tally.n, _MORE)), threshold)
-        worst = min(values, key=lambda key: values[key])
+            self._blame_the_law(self.sampler.of_the_law(self.stages, min(8 * tally.n, _MORE)))
+        worst = min((key for key in values if key[0] > 0), key=lambda key: values[key])
+        if values[worst] > level / len(self.keys):
+            return False  # only the law's own draws were unlikely, and more of them were not
         test, after = self.tests[worst[1]], f"after {worst[0]} step{'s' * (worst[0] > 1)}"
         self.reasons.append(
             {
@@ -227,9 +231,11 @@ class Trial:
                 "exchangeability": f"it is declared reversible and is not: {test.name} {after}",
             }[test.layer]
         )
+        return True
 
-    def _blame_the_law(self, tally: Tally, threshold: float) -> None:
+    def _blame_the_law(self, tally: Tally) -> None:
         """Raise `LawError` where the law's own draws do not have what is known of it."""
+        threshold = self.scheme.beta(1) / len(self.keys)
         require_alike(self.sampler.law, self.tests, tally, self.p_values(tally), threshold, self.unlikely)
 
     def forget(self) -> None:

@@ -41,9 +41,9 @@ class Reference:
     `errors` compares with a computation on panels twice as long, with two nodes fewer in each: of a length, the largest
     difference in any pixel (in one alone it may be small by accident), plus 1e-13 of the largest value for rounding.
     It is the coarser computation's error; the finer one's, of the values, is 4 to 8 times smaller or better. Where a
-    lobe is glossy it is less sure, for quadrature meets the bend of max(cos_i, cos_o) where it will, and two computations
-    may be off alike: there 3 times it, or an eighth of the same difference of the coarser one and a third, coarser yet,
-    whichever is more: half as much again as what errors that fall fourfold would leave of it.
+    lobe is glossy it is less sure, for quadrature meets the bend of max(cos_i, cos_o) where it will, and both may be
+    off alike: there 3 times it, or an eighth of the same difference of the coarser one and a third, coarser yet,
+    whichever is more: half as much again as errors that fall fourfold would leave.
 
     Added is what both miss between their nodes: in each interval between neighbouring shadow lines that holds no node,
     twice the difference, in its middle, of the irradiance and the nodes' polynomial. Where the sensor sees it, it is
