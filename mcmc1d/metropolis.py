@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from mcmc1d.checks import require, require_instance
 from mcmc1d.moves import Move, Proposal
+from mcmc1d.moves.base import proposal_of
 from mcmc1d.numerics import select
 from mcmc1d.random import SOURCES, Source
 from mcmc1d.state import Multiplexed, State
@@ -142,12 +143,7 @@ class Metropolis(OfMove[Move]):
         self.move.check(target)
 
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
-        proposal = self.move.propose(target, state, w[:-1])
-        who = f"{type(self.move).__name__}.propose"
-        require_instance(proposal, Proposal, f"{who}: what it returns", ": the state, w, log_det and kind")
-        shape = jnp.shape(proposal.log_det)
-        require(shape == (), f"{who}: log_det must be one number for one state, not of shape {shape}")
-        return accept(target, state, proposal, w[-1], self.deposit)
+        return accept(target, state, proposal_of(self.move, target, state, w[:-1]), w[-1], self.deposit)
 
 
 def as_kernel(kernel: Kernel | Move, who: str) -> Kernel:

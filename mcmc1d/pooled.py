@@ -17,6 +17,7 @@ from mcmc1d.checks import require, require_instance, rising
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, SmallStep
+from mcmc1d.moves.base import proposal_of
 from mcmc1d.numerics import cast, select, stratum
 from mcmc1d.quadrature import integrate
 from mcmc1d.state import Multiplexed, State
@@ -189,7 +190,7 @@ class PooledDeposit(OfMove[Move]):
 
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         own = _pooled(target)
-        proposal = self.move.propose(target, state, w[:-1])
+        proposal = proposal_of(self.move, target, state, w[:-1])
         proposed = target.evaluate(proposal.state)
         require(
             len(proposed.seen.kept) > 0,

@@ -11,6 +11,7 @@ from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, OfMove, Step, accept
 from mcmc1d.moves import Move
+from mcmc1d.moves.base import proposal_of
 from mcmc1d.moves.exchange import Exchange
 from mcmc1d.numerics import is_concrete, parameter
 from mcmc1d.pooled import Floored
@@ -128,7 +129,7 @@ class ReplicaDeposit(OfMove[Move]):
 
     def step(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Step:
         own = _replicated(target)
-        step = accept(target, state, self.move.propose(target, state, w[:-1]), w[-1], "plain")
+        step = accept(target, state, proposal_of(self.move, target, state, w[:-1]), w[-1], "plain")
         x, _ = own.contributions(step.state.u)
         weight = jnp.asarray(self.shares, w.dtype)
         return Step(step.state, Deposits(x, jnp.asarray(own.techniques, jnp.int32), weight), step.info)

@@ -94,7 +94,7 @@ def test_an_array_that_a_function_closes_over_has_the_precision_of_whoever_trace
 
 
 def test_a_target_that_closes_over_arrays_is_probed_run_and_integrated():
-    """In float64, float32 and float64: it could not be lowered. Masses to 8 standard errors of 8 blocks (2e-4 in two)."""
+    """In float64, float32 and float64: it could not be lowered. To 8 standard errors of 8 blocks (2e-4)."""
     centres, weights = np.array([0.2, 0.7]), np.array([1.0, 2.0])
     target = mcmc1d.targets.FromFunction(lambda x: jnp.sum(weights * jnp.exp(-(((x - centres) / 0.1) ** 2))))
     chain = mcmc1d.Multiplexed(target, (mcmc1d.techniques.Uniform(), mcmc1d.techniques.Tent()))

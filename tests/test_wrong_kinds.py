@@ -23,6 +23,13 @@ CALLS = {
     "targets.FromFunction(abs, (0, 0), (1, 1))": "it is of one coordinate, between two numbers",
     "exact_start(key, targets.Sinusoid(), 10)": "wrap it: Multiplexed(target, techniques)",
     "normalisation(key, targets.Sinusoid())": "wrap it: Multiplexed(target, techniques)",
+    "flatland.Light(flatland.scenes.scene('box'))": "Light: the paths must be a Paths, not a Scene",
+    "flatland.independent(key, flatland.Paths(flatland.scenes.scene('box'), 2), 8)": "independent: the target must be",
+    "flatland.Wall('floor', pixels=10**7)": "Wall: pixels must be 1000000 at most, not 10000000",
+    "flatland.picture(3, 'image', 1.0)": "picture: the run must be a Run, not an int",
+    "flatland.reference.image(flatland.scenes.scene('box'), 1, 5)": "resolution must be a Resolution, not an int",
+    "verify.check_move(Returns())": "Returns.propose: what it returns must be a Proposal, not a State",
+    "verify.step_operator(lambda k, x: x, log_density=lambda x: -x[0]**2, lower=0.0, upper=numpy.inf)": "give finite",
     "flatland.Material(exponent='20')": "Material: exponent must be a whole number",
     "flatland.Material(exponent=2.5)": "Material: exponent must be a whole number from 1 to 200, not 2.5",
     "flatland.Segment((0, 0, 1), (1, 1))": "Segment: start is a point, two numbers",
@@ -115,6 +122,7 @@ SCRIPT = """
 import json, sys
 import jax, numpy, scipy.special
 from mcmc1d import *
+import mcmc1d.flatland.reference
 from mcmc1d import flatland, lazy, pixels, subchain, tempering
 from mcmc1d.flatland.importance import OverPixels
 key, move, target = jax.random.key(0), moves.SmallStep(), Multiplexed(targets.Sinusoid(), techniques.Uniform())
@@ -127,6 +135,9 @@ class Careless(moves.SmallStep):
 class Bare(moves.SmallStep):
     def propose(self, target, state, w):
         return state, w, jax.numpy.zeros(())
+class Returns(moves.SmallStep):
+    def propose(self, target, state, w):
+        return state
 said = {}
 for call in json.loads(sys.argv[1]):
     try:

@@ -57,11 +57,10 @@ def picture(run: Run, name: str, b: float | Normalisation) -> Picture:
 
     Known, or as `normalisation` estimates it: then its error is part of the image's.
     """
-    require_instance(run, Run, "picture: the run")
     value, error = b if isinstance(b, Normalisation) else (b, 0.0)
     number = np.ndim(value) == 0 and np.asarray(value).dtype.kind in "iuf"
     require(number, f"picture: b is a number, or a Normalisation, not {b!r}")
-    deposits = run.mean(name)
+    deposits = require_instance(run, Run, "picture: the run").mean(name)
     pixels = deposits.shape[-1]
     return Picture(
         float(value) * pixels * deposits, pixels * np.hypot(float(value) * run.standard_error(name), error * deposits)

@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
+from mcmc1d.checks import require, require_instance
 from mcmc1d.numerics import in_unit_cube, wrap
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Index, Scalar
@@ -58,6 +59,15 @@ class Move(eqx.Module):
     def kinds(self) -> tuple[str, ...]:
         """The names that `Proposal.kind` counts through."""
         return (type(self).__name__,)
+
+
+def proposal_of(move: Move, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
+    """What the move proposes; `ValueError` where that is no proposal."""
+    proposal, who = move.propose(target, state, w), f"{type(move).__name__}.propose"
+    require_instance(proposal, Proposal, f"{who}: what it returns", ": the state, w, log_det and kind")
+    shape = jnp.shape(proposal.log_det)
+    require(shape == (), f"{who}: log_det must be one number for one state, not of shape {shape}")
+    return proposal
 
 
 class EachNumber(Move):

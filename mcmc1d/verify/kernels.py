@@ -77,7 +77,7 @@ class JaxSubject(Subject):
         try:
             state = eqx.filter_eval_shape(self.kernel.begin, key, one)
             out = eqx.filter_eval_shape(self.kernel.move, key, state)
-        except (*UNTRACEABLE, TypeError, AttributeError) as error:
+        except (*UNTRACEABLE, TypeError, AttributeError, IndexError) as error:
             raise ValueError(
                 f"{self.name} can not be traced by JAX as step(key, position) of one chain, whose position is "
                 f"{_shapes(one)} ({type(error).__name__}: {str(error).splitlines()[0]}); write it with jax.numpy and "
@@ -165,6 +165,13 @@ class HostSubject(Subject):
             after = self.kernel.step(np.random.default_rng(0), state)
         except TypeError as error:
             require("PRNG key" not in str(error), f"{self.name} takes a JAX key: give it without HostKernel")
+            raise
+        except ValueError as error:
+            require(
+                "truth value" not in str(error),
+                f"{self.name} is of one chain: a HostKernel's step(rng, positions) moves many at once, the first axis "
+                "counting them; write it with np.where, or, as JAX, give step(key, position) of one without HostKernel",
+            )
             raise
         require(
             jax.tree.map(np.shape, after) == before,
@@ -278,11 +285,18 @@ def _arrays(tree: Any) -> Any:
 def _to_default(a: np.ndarray, name: str) -> np.ndarray:
     """In JAX's default precision, floats rounded towards zero: nothing is rounded onto a wall such as 1.
 
-    Raises `ValueError` for integers that are none of its default's.
+    Raises `ValueError` for numbers that its default does not hold.
     """
     a = np.asarray(a)
     if a.dtype.kind == "f":
-        narrow = a.astype(jnp.zeros(()).dtype)
+        with np.errstate(over="ignore"):
+            narrow = a.astype(jnp.zeros(()).dtype)
+        lost = np.isinf(narrow) & np.isfinite(a)
+        require(
+            not lost.any(),
+            f"{name}: {lost.sum()} of {a.size} of the law's draws, such as {a[lost].flat[0] if lost.any() else 0:.3g}, "
+            f"do not fit {narrow.dtype}, JAX's own; verify it with jax.enable_x64(True)",
+        )
         return np.where(np.abs(narrow) > np.abs(a), np.nextafter(narrow, np.zeros_like(narrow)), narrow)
     if a.dtype.kind not in "iu":
         return a

@@ -21,7 +21,13 @@ class Continuous:
 
     def probability(self, where: Position) -> np.ndarray:
         """The CDF at n positions' values: uniform on [0, 1] under the law."""
-        return np.asarray(self.cdf(np.asarray(self.value(where), np.float64)), np.float64)
+        values = np.asarray(self.value(where), np.float64)
+        try:
+            return np.asarray(self.cdf(values), np.float64)
+        except TypeError as error:
+            raise ValueError(
+                f"a cdf takes many values at once, of shape {values.shape}, and failed: {error}"
+            ) from error
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from mcmc1d.compiling import quickly
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Move, Proposal
+from mcmc1d.moves.base import proposal_of
 from mcmc1d.special import still
 from mcmc1d.state import Eval, Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Real, Scalar
@@ -145,7 +146,7 @@ def _back(
 
 
 def _propose(move: Move, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
-    proposal = move.propose(target, state, w)
+    proposal = proposal_of(move, target, state, w)
     if proposal.w.shape != w.shape or proposal.state.u.shape != state.u.shape:
         raise ValueError(
             f"{type(move).__name__}.propose must return u' of shape {state.u.shape} and w' of shape {w.shape}, not "

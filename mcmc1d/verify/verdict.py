@@ -102,7 +102,7 @@ def _untested(trial: Trial) -> list[str]:
     """What a PASS says nothing of."""
     sampler, found = trial.sampler, []
     if not sampler.subject.reversible:
-        found.append("detailed balance: reversible=True declares it, and sees much smaller mistakes")
+        found.append("detailed balance: reversible=True declares it, and sees far smaller mistakes that break it")
     reached, looked = trial.forgotten.steps or 0, max(sampler.steps)
     if reached > looked:
         found.append(

@@ -1,6 +1,7 @@
 """The engine: verdicts on right and wrong kernels of every form, what is refused, and that a seed means something."""
 
 import json
+import math
 
 import jax
 import jax.numpy as jnp
@@ -309,6 +310,10 @@ def test_a_certificate_is_json_and_a_plot_is_drawn():
         (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: x), {}, "must lie in"),
         (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: 0.5), {}, "must return shape"),
         (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=lambda x: ndtr(-x)), {}, "the cdf of x falls"),
+        (WALK, Law(lambda rng, n: rng.normal(size=n), cdf=math.erf), {}, "a cdf takes many values at once"),
+        (WALK, scipy.stats.lognorm(40), {}, "of the law's draws, such as .*, do not fit float32.*enable_x64"),
+        (HostKernel(lambda rng, x: x + 1 if x > 0 else x), NORMAL, {}, "is of one chain: a HostKernel's step"),
+        (JaxKernel(lambda key, state: (state[0], state[1])), NORMAL, {}, "IndexError: Too many indices"),
         (WALK, scipy.stats.norm(1e6, 1), {}, r"in float32 x has steps of 0.06.*enable_x64"),
     ],
 )

@@ -223,6 +223,38 @@ def test_a_sampler_that_is_slightly_off_is_named_and_no_kernel():
         verify(walk, law, replicas=2**18, seed=1)
 
 
+@pytest.mark.slow
+def test_a_law_that_is_right_is_not_blamed_in_a_late_stage():
+    """A drift of 7e-4 is seen in the fourth, which asks little: p = 0.007 of the law's own draws was enough."""
+    law = Law(lambda rng, n: rng.normal(size=n), cdf=ndtr, log_density=lambda x: -0.5 * x * x, name="norm")
+
+    def drifts(key, x):
+        one, two = jax.random.split(key)
+        y = x + 7e-4 + 0.3 * jax.random.normal(one)
+        return jnp.where(jnp.log(jax.random.uniform(two)) < (x * x - y * y) / 2, y, x)
+
+    assert verify(drifts, law, seed=1, replicas=2**17).verdict is Verdict.FAIL
+
+
+@pytest.mark.slow
+def test_a_law_that_was_verified_in_float32_may_be_given_to_emcee():
+    """Its density closes over arrays, of which JAX kept those in float32."""
+    centre, scale = np.array([0.0, 2.0]), np.array([1.0, 3.0])
+    law = Law(
+        lambda rng, n: rng.normal(centre, scale, (n, 2)),
+        cdf=lambda x: ndtr((x - centre) / scale),
+        log_density=lambda x: -0.5 * jnp.sum(((x - centre) / scale) ** 2),
+    )
+
+    def walk(key, x):
+        one, two = jax.random.split(key)
+        y = x + 2.0 * jax.random.normal(one, x.shape)
+        return jnp.where(jnp.log(jax.random.uniform(two)) < law.log_density(y) - law.log_density(x), y, x)
+
+    assert verify(walk, law, replicas=2**12, gap=0.5).passed
+    assert verify(emcee.moves.StretchMove(), law, replicas=2**12, gap=0.5).passed
+
+
 def test_a_kernel_that_takes_longer_than_the_steps_tested_is_told_so():
     """Its own law, should it have another, may be further off than the gap that the report states."""
 
