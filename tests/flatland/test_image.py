@@ -77,8 +77,6 @@ def test_nothing_is_compared_with_what_is_no_number():
     for numbers in ([[np.nan, 1.2]], [[np.inf, 1.2]]):
         with pytest.raises(ValueError, match="the exact image is NaN or infinite"):
             compare(image, np.array(numbers))
-    with pytest.raises(ValueError, match="not a dict; of a Reference give both, its values and its errors"):
-        compare(image, {"values": 0})
     broken = Image([ONE._replace(deposits=ONE.deposits._replace(total=np.array([np.nan, 40.0])))])
     with pytest.raises(ValueError, match="the image is NaN"):
         compare(broken, np.array([[0.6, 1.2]]))
