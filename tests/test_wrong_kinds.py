@@ -26,7 +26,7 @@ CALLS = {
     "flatland.Light(flatland.scenes.scene('box'))": "Light: the paths must be a Paths, not a Scene",
     "flatland.independent(key, flatland.Paths(flatland.scenes.scene('box'), 2), 8)": "independent: the target must be",
     "flatland.Wall('floor', pixels=10**7)": "Wall: pixels must be 1000000 at most, not 10000000",
-    "compare(integrate(key, 'pt', flatland.scenes.scene('box'), lengths=1, samples=64), {})": "not a dict; of a Refer",
+    "compare(integrate(key, 'pt', flatland.scenes.scene('box'), lengths=2, samples=64), {})": "not a dict; of a Refer",
     "flatland.picture(3, 'image', 1.0)": "picture: the run must be a Run, not an int",
     "flatland.reference.image(flatland.scenes.scene('box'), 1, 5)": "resolution must be a Resolution, not an int",
     "verify.check_move(Returns())": "Returns.propose: what it returns must be a Proposal, not a State",
