@@ -10,7 +10,14 @@ from scipy.stats import binom
 
 from mcmc1d.checks import require
 from mcmc1d.verify.battery import OneSample, TwoSample, coordinates
-from mcmc1d.verify.contradictions import require_alike, require_cells, require_density, require_fit, require_random
+from mcmc1d.verify.contradictions import (
+    require_alike,
+    require_cells,
+    require_density,
+    require_fit,
+    require_one_density,
+    require_random,
+)
 from mcmc1d.verify.design import design, main_coordinates, partitions
 from mcmc1d.verify.energy import Energy
 from mcmc1d.verify.forgetting import REPLICAS, Forgetting, forgets
@@ -112,6 +119,7 @@ class Trial:
         if self.sampler.energy is not None:
             values = self.sampler.energy(draws)
             require_density(self.sampler.law, draws, values)
+            require_one_density(self.sampler.law, draws, self.sampler.energy)
             order = np.argsort(values)
         else:
             first = next(iter(coordinates(draws).values()))

@@ -138,6 +138,10 @@ def test_replicas_outside_of_the_support_are_a_doubt_and_many_a_failure(rate, ve
             Law(lambda rng, n: rng.normal(size=(n, 2)), log_density=lambda x: jnp.where(x[0] > 0, 0.0, -jnp.inf)),
             "log_density is -inf at its own draw",
         ),
+        (
+            Law(lambda rng, n: rng.normal(size=n), cdf=ndtr, log_density=lambda x: -x * x),
+            "its log_density is not that of its cdf: over half of the law they are apart by a factor of 1.2",
+        ),
     ],
 )
 def test_a_sampler_or_density_that_can_not_be_is_refused(law, message):
