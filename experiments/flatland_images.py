@@ -33,7 +33,7 @@ BY_LENGTH = ("bdpt", "mmlt", "rjmlt")
 """Of which each length is looked at as well."""
 
 CHAINS = 2**18
-"""Of what runs chains: a deviation of their mean is bounded by their number, and independent starts are half of it.
+"""Of what runs chains: their number bounds how far their mean may be off, and each begins with an exact state.
 
 In occluder MMLT finds errors of 2.6 % with as many, and of 7.3 % with 2^14 that are 16 times as long.
 """
@@ -55,7 +55,7 @@ class Config:
     goal: float = 0.1
     """The error of a pixel that is to be found, of the total or, in a dark pixel, of the image's mean."""
     log2_work: int = 30
-    """No image may take more rays times segments, nor the exact starts of its chains."""
+    """No image may take more rays times segments, nor the exact starts of a stage of one."""
     longer: str = ""
     """In these scenes it may take more."""
     log2_longer: int = 4
@@ -137,7 +137,7 @@ def held(
     make, of = (INTEGRATORS | FURTHER)[integrator], scene(name).with_pixels(pixels)
     if isinstance(make, StagedMLT):
         chains = max(2, min(CHAINS, 2**log2_work // WORK_OF_A_CHAIN))
-        make = replace(make, chains=chains, candidates=2**log2_work // (lengths * len(of.segments)))
+        make = replace(make, chains=chains, candidates=max(1, 2**log2_work // (lengths * len(of.segments))))
     elif hasattr(make, "chains"):
         make = replace(make, chains=CHAINS)
     unknown = {"detectable_length": [np.nan] * lengths, "twin": np.nan, "rays": 0.0, "samples": 0.0}

@@ -23,7 +23,7 @@ from experiments.support.each_chain import EachMean, autocorrelation_time
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
-from mcmc1d.checks import require
+from mcmc1d.checks import require, require_whole
 from mcmc1d.compiling import quickly
 from mcmc1d.moves import AimedJump, Mixture, Move, ReversibleJump, SmallStep, TechniqueChange
 from mcmc1d.techniques import Mixture as MixtureTechnique
@@ -56,7 +56,7 @@ class Config:
     burn: int = 1024
     """Steps of a wrong integrator's chains before that; the slowest forgets its start in 126, by its spectral gap."""
     blocks: int = 32
-    """Independent groups of chains: the standard errors are their spread. Replicas come in groups of that size."""
+    """Independent groups of chains: the standard errors are their spread. Replicas come in groups as large."""
     level: float = 1e-6
     """Probability that a right integrator is rejected by one test; there are two an integrator."""
     operator_points: int = 2**19
@@ -104,10 +104,12 @@ def _target(config: Config, mixture: Technique) -> mcmc1d.Multiplexed:
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Every integrator: replicas tested after `replica_steps`, then histograms, acceptance and autocorrelation."""
-    size = config.chains / config.blocks
+    blocks, chains = require_whole(config.blocks, "blocks", 2), require_whole(config.chains, "chains")
+    require(chains % blocks == 0, f"{chains} chains can not be dealt into {blocks} equal blocks")
     require(
-        size % 1 == 0 and config.replicas % size == 0,
-        f"rjmlt_fig3: blocks must divide the chains, and chains / blocks, which is {size:g}, the replicas",
+        config.replicas >= chains and config.replicas % (chains // blocks) == 0,
+        f"replicas must be {chains} at least, as many as the chains that go on from them, and a multiple of "
+        f"{chains // blocks}, a block's chains, not {config.replicas}",
     )
     edges = np.linspace(0, 1, config.bins + 1)
     # The longest first, so that several processes end together: the wrong have their operators, step changes are cheap.

@@ -126,7 +126,7 @@ def accepted(
     which is of the row that `owner` names, and a uniform number for each, finer than the least density over the bound
     that matters (see `independent_states`); `bound`, that the rows' densities are thought not to exceed: where a
     candidate does, it is raised, and the row's are drawn again. `StartError` with the `fix` to give, where they are
-    too narrow: a row would take more than `most` candidates.
+    too narrow: a row would take more than `most` candidates, of all its batches.
     """
     rows, bound = len(bound), bound.copy()
     share = np.bincount(owner, minlength=rows)
@@ -153,8 +153,8 @@ def accepted(
         hopeless = tried >= _PATIENCE and found[r] * most < count * tried
         if found[r] < count and (hopeless or batch * int(share[r]) >= most):
             raise StartError(
-                f"{who}: {found[r]} of {count} states after {tried} candidates, because the density reaches "
-                f"{bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}"
+                f"{who}: {found[r]} of {count} states after {tried} candidates, {most} being allowed, because the "
+                f"density reaches {bound[r] / 1.25:.2g} in a narrow peak or a pole; give {fix}"
             )
     each = [jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *row) for row in kept]
     return jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)), *each)

@@ -16,7 +16,8 @@ def write_whole(path: Path, save: Callable[[Path], Any]) -> None:
         save(temporary)
         temporary.replace(path)
     except OSError as error:
-        error.filename = os.fspath(path)  # the temporary file's name tells a user nothing
+        if error.errno is not None:  # the temporary file's name tells a user nothing
+            error.filename, error.filename2 = os.fspath(path), None
         raise
     finally:
         temporary.unlink(missing_ok=True)

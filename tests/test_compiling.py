@@ -103,3 +103,20 @@ def test_a_target_that_closes_over_arrays_is_probed_run_and_integrated():
     masses = target.bin_masses(np.array([0.0, 0.5, 1.0]))
     assert run.state.u.dtype == np.float32
     assert np.all(np.abs(run.mean("half") - masses / masses.sum()) < 8 * run.standard_error("half"))
+
+
+def test_an_array_that_is_closed_over_twice_is_one_constant_and_what_is_no_number_is_refused():
+    centre = np.array([0.25, 0.75])
+    assert len(jax.make_jaxpr(lambda x: jnp.sum((x - centre) * (x + centre)))(1.0).consts) == 1
+    with pytest.raises(TypeError):
+        jax.make_jaxpr(lambda x: jnp.add(x, np.array(["a"])))(1.0)
+
+
+def test_no_array_is_taken_for_one_that_is_gone():
+    """Of a thousand, whose places in memory come again, and whose constants stay alive."""
+    alive = []
+    for k in range(1000):
+        array = np.full(3, float(k))
+        alive.append(jax.make_jaxpr(lambda x, array=array: x + array)(1.0))
+        del array
+    assert [float(program.consts[0][0]) for program in alive] == list(range(1000))

@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import json
+import math
 import pkgutil
 import platform
 import subprocess
@@ -73,13 +74,14 @@ def numbers(name: str, text: str, kind: type = int) -> list[Any]:
     except ValueError:
         found = []
     wanted = "whole numbers" if kind is int else "numbers"
-    require(len(found) > 0 and min(found) > 0, f"{name} takes positive {wanted} with spaces between them, not {text!r}")
+    positive = all(0 < number < math.inf for number in found)
+    require(len(found) > 0 and positive, f"{name} takes positive {wanted} with spaces between them, not {text!r}")
     return found
 
 
 def between(shortest: int, longest: int) -> list[int]:
     """The path lengths of a configuration; `ValueError` where there is none."""
-    require(1 <= shortest <= longest, f"paths have 1 to `longest` edges, not {shortest} to {longest}")
+    require(1 <= shortest <= longest, f"shortest={shortest} must be 1 at least, and longest={longest} no less")
     return list(range(shortest, longest + 1))
 
 

@@ -1,6 +1,7 @@
 """A move chosen at random among several, each step."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from mcmc1d.batching import only_where
 from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
-from mcmc1d.moves.base import Move, Proposal
+from mcmc1d.moves.base import Move, Proposal, proposal_of
 from mcmc1d.numerics import cumulative, is_concrete, locate, parameter, pick
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Real
@@ -84,9 +85,9 @@ class Mixture(Move):
         for k, move in enumerate(self.moves):
             r = move.dim_w(target)
             if self.names[k] in self.seldom:
-                proposal = only_where(jnp.equal(chosen, k), move.propose, target, state, w[1 : 1 + r])
+                proposal = only_where(jnp.equal(chosen, k), partial(proposal_of, move), target, state, w[1 : 1 + r])
             else:
-                proposal = move.propose(target, state, w[1 : 1 + r])
+                proposal = proposal_of(move, target, state, w[1 : 1 + r])
             points.append((proposal.state.index, proposal.state.u, proposal.log_det))
             rests.append(jnp.concatenate([w[:1], proposal.w, w[1 + r :]]))
             evals.append(proposal.state.eval)

@@ -11,7 +11,7 @@ import numpy as np
 from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.compiling import quickly
 from mcmc1d.examples import Examples
-from mcmc1d.moves.base import Move, Proposal
+from mcmc1d.moves.base import Move, Proposal, proposal_of
 from mcmc1d.moves.candidates import Antithetic, Candidates, Independent, Rotated, Stratified
 from mcmc1d.moves.primary import ExponentialStep, SmallStep
 from mcmc1d.numerics import choose, ends_of, select, unchoose
@@ -147,7 +147,7 @@ def around(step: Move, target: Multiplexed, state: State, numbers: Float[Array, 
     """The step's proposals from one state by p vectors of numbers, evaluated, with a leading axis."""
 
     def one(w: Float[Array, " r"]) -> Proposal:
-        proposal = step.propose(target, state, w)
+        proposal = proposal_of(step, target, state, w)
         kind = jnp.asarray(proposal.kind, jnp.int32)
         return Proposal(target.evaluate(proposal.state), proposal.w, proposal.log_det, kind)
 

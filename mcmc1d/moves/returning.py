@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from mcmc1d.checks import require_instance, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.moves.base import Move, Proposal
+from mcmc1d.moves.base import Move, Proposal, proposal_of
 from mcmc1d.moves.reversible_jump import ReversibleJump
 from mcmc1d.numerics import in_unit_cube, parameter
 from mcmc1d.state import Multiplexed, State
@@ -39,7 +39,7 @@ class Returning(Move):
         self.move.check(target)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " r"]) -> Proposal:
-        proposal = self.move.propose(target, state, w)
+        proposal = proposal_of(self.move, target, state, w)
         there = target.evaluate(proposal.state)
         back = self.move.propose(target, there, proposal.w)
         same = jnp.asarray(back.state.index == state.index) & self._near(back.state.u, state.u) & self._near(back.w, w)

@@ -11,6 +11,7 @@ import numpy as np
 from mcmc1d.compiling import quickly
 from mcmc1d.metropolis import Kernel, Metropolis, acceptance
 from mcmc1d.moves import Mixture, Move, Proposal
+from mcmc1d.moves.base import proposal_of
 from mcmc1d.numerics import below_one, cast
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index, Scalar, UInt32
@@ -72,7 +73,7 @@ class KernelFlux(eqx.Module):
             return Outcomes(state, weight, [after], [jnp.ones_like(weight)], [0])
         ends, probabilities, kinds, stay = [], [], [], jnp.zeros_like(weight)
         for k, (chance, move) in enumerate(self._branches()):
-            proposal = move.propose(target, state, w[: move.dim_w(target)])
+            proposal = proposal_of(move, target, state, w[: move.dim_w(target)])
             proposed = target.evaluate(proposal.state)
             a = acceptance(state, Proposal(proposed, proposal.w, proposal.log_det))
             # An impossible proposal may hold NaN; its weight is zero, and so it need not be replaced.

@@ -24,7 +24,9 @@ class Continuous:
         values = np.asarray(self.value(where), np.float64)
         try:
             return np.asarray(self.cdf(values), np.float64)
-        except TypeError as error:
+        except (TypeError, ValueError) as error:
+            if isinstance(error, ValueError) and "truth value" not in str(error):
+                raise
             raise ValueError(
                 f"a cdf takes many values at once, of shape {values.shape}, and failed: {error}"
             ) from error

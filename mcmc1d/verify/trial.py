@@ -30,7 +30,7 @@ AIM = 0.005
 """The CDF gap that is aimed at unless one is asked for."""
 _LOOKS = 16  # the early look is at this fraction of the first stage
 _RATE = 0.01  # a kernel that moves more often than that does not fail for never having moved
-_MORE = 2**22  # of the law's own draws, at most, and eight times the replicas
+_MORE = 2**22  # of the law's own draws, from which on four times the replicas do for eight
 _NARROW = 1e-20  # a p-value over which a failure may come from a law that is slightly wrong: more of its draws tell
 _STARTS = 7  # the least likely draw, and both ends of up to three coordinates
 
@@ -137,9 +137,13 @@ class Trial:
             if self.reasons:
                 return
             verdict = self.scheme.decide(stage, self.combined(tally))
-            if verdict == "fail" and self._failed(tally, self.scheme.beta(stage)):
+            if verdict == "fail":
+                self._clear_the_law(tally)
+                verdict = self.scheme.decide(stage, self.combined(tally, own=False))
+            if verdict == "fail":
+                self._failed(tally)
                 return
-            if verdict != "more":
+            if verdict == "pass":
                 self._stray(tally)
                 break
             n = n * self.grow if stage == 1 else n
@@ -204,7 +208,9 @@ class Trial:
                 self.progress(total.n, n)
             if stage == 1 and not looked and total.n * _LOOKS >= n:
                 looked = True
-                if self.combined(total) <= self.scheme.early and self._failed(total, self.scheme.early):
+                if self.combined(total) <= self.scheme.early:
+                    self._clear_the_law(total)
+                    self._failed(total)
                     return total
         return total
 
@@ -212,23 +218,25 @@ class Trial:
         """Each test's own."""
         return {key: self.tests[key[1]].p_value(tally.counts[key]) for key in self.keys if key in tally.counts}
 
-    def combined(self, tally: Tally) -> float:
-        """The smallest p-value times the number of tests."""
-        return min(1.0, len(self.keys) * min(self.p_values(tally).values(), default=1.0))
+    def combined(self, tally: Tally, own: bool = True) -> float:
+        """The smallest p-value times the number of tests; `own`: or of those of the kernel, without the law's draws."""
+        values = [p for (steps, _), p in self.p_values(tally).items() if own or steps > 0]
+        return min(1.0, len(self.keys) * min(values, default=1.0))
 
-    def _failed(self, tally: Tally, level: float) -> bool:
-        """Whether the kernel has failed, at the level of its stage; `LawError` where the law has, at the first one's.
+    def _clear_the_law(self, tally: Tally) -> None:
+        """Raise `LawError` where the law has failed, and not the kernel: by as much evidence as a first stage needs.
 
-        A late stage asks for little evidence, because a right kernel seldom comes there. A wrong one does, and its law
-        may be right: to blame the law takes as much as if nothing had been seen before, of more draws where need be.
+        A late stage asks for little, because a right kernel seldom comes there. A wrong one does, and its law may be
+        right; four times as many of the law's own draws, or eight, tell.
         """
-        values = self.p_values(tally)
         self._blame_the_law(tally)
-        if min(values.values()) > _NARROW and any(steps == 0 for steps, _ in self.keys):
-            self._blame_the_law(self.sampler.of_the_law(self.stages, min(8 * tally.n, _MORE)))
-        worst = min((key for key in values if key[0] > 0), key=lambda key: values[key])
-        if values[worst] > level / len(self.keys):
-            return False  # only the law's own draws were unlikely, and more of them were not
+        if min(self.p_values(tally).values()) > _NARROW and any(steps == 0 for steps, _ in self.keys):
+            more = max(4 * tally.n, min(8 * tally.n, _MORE))
+            self._blame_the_law(self.sampler.of_the_law(self.stages, more))
+
+    def _failed(self, tally: Tally) -> None:
+        values = {key: p for key, p in self.p_values(tally).items() if key[0] > 0}
+        worst = min(values, key=lambda key: values[key])
         test, after = self.tests[worst[1]], f"after {worst[0]} step{'s' * (worst[0] > 1)}"
         self.reasons.append(
             {
@@ -239,7 +247,6 @@ class Trial:
                 "exchangeability": f"it is declared reversible and is not: {test.name} {after}",
             }[test.layer]
         )
-        return True
 
     def _blame_the_law(self, tally: Tally) -> None:
         """Raise `LawError` where the law's own draws do not have what is known of it."""

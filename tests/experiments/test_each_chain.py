@@ -8,7 +8,7 @@ from experiments.support.each_chain import autocorrelation_time
 
 @pytest.mark.parametrize("r", [0.0, 0.5, 0.9])
 def test_the_time_of_an_autoregression(r):
-    """(1 + r) / (1 - r), less its share of 4000 steps, to six standard errors of 4096 chains' variance (2e-9)."""
+    """(1 + r) / (1 - r), less its share of 4000 steps, to six standard errors of 4096 chains' variance (6e-9)."""
     steps, chains = 4000, 4096
     rng = np.random.default_rng(3)
     x = rng.standard_normal(chains)

@@ -169,7 +169,9 @@ def exact_starts(
         state, density, pixel, uniform = _candidates(key, target, batch)
         return State(state.index, state.u.T), density * values[owner, pixel], uniform
 
-    return accepted("exact_starts", candidates, owner, bound, chains, "techniques that follow it", most)
+    return accepted(
+        "exact_starts", candidates, owner, bound, chains, "techniques that follow it, or more candidates", most
+    )
 
 
 def _light(target: Multiplexed) -> OverPixels:

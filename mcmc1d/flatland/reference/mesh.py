@@ -57,11 +57,13 @@ class Resolution:
         )
 
     def coarser(self) -> "Resolution":
-        """One with panels up to twice as long, of two nodes fewer: about what `finer` makes finer."""
+        """One with panels up to twice as long, of two nodes fewer, where it can have fewer."""
         return replace(
             self,
             order=max(1, self.order - 2),
             points=max(1, self.points - 2),
+            parts=max(1, self.parts // 2),
+            grading=2 * self.grading,
             largest=min(1.0, 2 * self.largest),
             longest=2 * self.longest,
             smallest=self.smallest / 0.3,
