@@ -1,16 +1,14 @@
 """Functions under jit, with compiler options of their own: never global ones."""
 
 import functools
-import weakref
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from typing import Any, TypeVar
-from weakref import WeakValueDictionary
 
 import equinox as eqx
 import jax
-import numpy as np
 from jax.extend.core import Jaxpr, jaxpr_as_fun, jaxprs_in_params
+
+from mcmc1d.constants import keep_precisions_apart
 
 F = TypeVar("F", bound=Callable)
 
@@ -19,46 +17,7 @@ _NARROW = ("atan",)
 arctangent in a register, which looks for them in memory. The results are random. All of `jax.lax` was tried."""
 
 
-_made: "WeakValueDictionary[tuple[int, Any], Any]" = WeakValueDictionary()
-_watched: dict[int, set[Any]] = {}
-"""Of each array that is alive, by its number, the dtypes that were made of it."""
-
-
-def _constant(array: np.ndarray) -> Any:
-    """What JAX takes a NumPy array for that a traced function closes over: one constant for each precision."""
-    dtypes.check_valid_dtype(array.dtype)
-    dtype = dtypes.canonicalize_dtype(array.dtype)
-    made = _made.get((id(array), dtype))
-    if made is None:
-        made = _made[id(array), dtype] = literals.TypedNdArray(np.asarray(array, dtype))
-        if id(array) not in _watched:
-            _watched[id(array)] = set()
-            weakref.finalize(array, _forget, id(array)).atexit = False
-        _watched[id(array)].add(dtype)
-    return made
-
-
-def _forget(number: int) -> None:
-    """Another array may have that number next."""
-    for dtype in _watched.pop(number):
-        _made.pop((number, dtype), None)
-
-
-def _precisions_are_mixed() -> bool:
-    """Whether JAX returns what it made of an array in one precision, while that is alive, in the other too."""
-    array = np.zeros(1)
-    alive = dtypes.canonicalize_value(array)
-    with jax.enable_x64(alive.dtype == np.float32):
-        return dtypes.canonicalize_value(array).dtype == alive.dtype
-
-
-# JAX 0.10.2 does: a target that closes over an array and was probed in float64 could not be run in float32, nor a law
-# that was verified in float32 be given to emcee. A later JAX need not have these names.
-with suppress(ImportError, AttributeError):
-    from jax._src import dtypes, literals
-
-    if _precisions_are_mixed():
-        dtypes.register_canonicalize_value_handler(np.ndarray, _constant)
+keep_precisions_apart()  # before anything is traced
 
 
 def jit_with(**options: Any) -> Callable[[F], F]:

@@ -44,6 +44,11 @@ def test_the_operator_predicts_what_is_simulated(data):
     assert np.isnan(data.sel(integrator="full").predicted).all()
 
 
+def test_chains_take_longer_to_forget_than_independent_draws(data):
+    """A mean over 128 steps can vary by no more than one draw, and of these integrators by some tens of steps."""
+    assert np.all((data.autocorrelation_time > 5) & (data.autocorrelation_time < SMALL.steps))
+
+
 def test_every_claim_is_judged_and_the_figure_drawn(data):
     claims = {claim.id: claim for claim in rjmlt_fig3.judge(data)}
     assert len(claims) == 8
