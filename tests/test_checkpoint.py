@@ -273,7 +273,7 @@ for k in range(kills):
     os.kill(pid, signal.SIGINT if k == 1 else signal.SIGKILL)
     os.waitpid(pid, 0)
     before = reported()[-1]
-print("lost", max(lost), "reached", before / (64 * 400 * 1024))
+print("lost", max(lost), "reached", before / (64 * 400 * 1024), flush=True)  # or the next child says it too
 os.waitpid(start(path, cores), 0)
 """
 
