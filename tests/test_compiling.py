@@ -114,6 +114,13 @@ def test_an_array_that_is_closed_over_twice_is_one_constant_and_what_is_no_numbe
 
 
 def test_no_array_is_taken_for_one_that_is_gone():
-    """Of a thousand, whose places in memory come again, and whose constants stay alive."""
-    constants = [canonicalize_value(np.full(3, float(k))) for k in range(1000)]
+    """Of arrays whose places in memory come again, while the constants that were made of them stay alive."""
+    places, constants = [], []
+    for k in range(1000):
+        array = np.empty(3)
+        array[:] = k
+        places.append(id(array))
+        constants.append(canonicalize_value(array))
+        del array
+    assert len(set(places)) < 1000
     assert [float(constant[0]) for constant in constants] == list(range(1000))
