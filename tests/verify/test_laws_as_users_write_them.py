@@ -16,6 +16,8 @@ from mcmc1d.moves import SmallStep
 from mcmc1d.targets import Sinusoid
 from mcmc1d.techniques import Technique, Uniform
 from mcmc1d.verify import Continuous, Discrete, HostKernel, JaxKernel, Law, LawError, Verdict, step_operator, verify
+from mcmc1d.verify.contradictions import require_one_density
+from mcmc1d.verify.energy import Energy
 
 SIZE = {"replicas": 2**15}
 
@@ -225,6 +227,18 @@ def test_a_sampler_that_is_slightly_off_is_named_and_no_kernel():
 
     with pytest.raises(LawError, match=r"its sampler and its exact law of x.* disagree"):
         verify(walk, law, replicas=2**18, seed=1)
+
+
+@pytest.mark.parametrize("waves", [200, 10_000])
+def test_a_density_of_many_waves_is_not_said_to_be_another_than_its_cdf(waves):
+    """Of 10,000 no cell between a thousand draws resolves one."""
+    k = 2 * np.pi * waves
+    law = Law(
+        lambda rng, n: rng.random(n),  # as good as the law itself for where to look
+        cdf=lambda x: x + 0.9 * (1 - np.cos(k * x)) / k,
+        log_density=lambda x: jnp.log(1 + 0.9 * jnp.sin(k * x)),
+    )
+    require_one_density(law, law.sample(np.random.default_rng(0), 2**15), Energy(law))
 
 
 @pytest.mark.slow
