@@ -81,7 +81,7 @@ LONG = True
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     """Render each scene with each integrator."""
     scenes = chosen(config.scenes, catalogue())
-    names, longer = chosen(config.integrators, INTEGRATORS | FURTHER), chosen(config.longer, catalogue())
+    names, longer = chosen(config.integrators, INTEGRATORS | FURTHER), chosen(config.longer, catalogue(), none=True)
     known = progress.map("references", exact_image, [(s, config.lengths, config.pixels) for s in scenes])
     exact = dict(zip(scenes, known, strict=True))
     # Of all that there is, so that an image is held alike whatever is rendered beside it.

@@ -59,11 +59,17 @@ def names() -> list[str]:
     return sorted(module.name for module in found if not module.ispkg and not module.name.startswith("_"))
 
 
-def chosen(text: str, known: Mapping[str, Any]) -> list[str]:
-    """The names in a configuration's list, or with "all" all that are known; `ValueError` where one is not."""
+def chosen(text: str, known: Mapping[str, Any], *, none: bool = False) -> list[str]:
+    """The names in a configuration's list, or with "all" all that are known; `ValueError` where one is not.
+
+    `none`: whether there may be none.
+    """
     named = list(known) if text == "all" else text.split()
     wrong = [name for name in named if name not in known]
-    require(len(named) > 0 and not wrong, f"there is no {', '.join(wrong) or repr(text)}; known: {', '.join(known)}")
+    require(
+        (none or len(named) > 0) and not wrong,
+        f"there is no {', '.join(wrong) or repr(text)}; known: {', '.join(known)}",
+    )
     return named
 
 

@@ -81,3 +81,22 @@ def test_an_image_that_chains_can_not_start_has_no_bound(monkeypatch):
 def test_another_error_is_no_dull_image(monkeypatch):
     with pytest.raises(ValueError, match="something else"):
         _row(monkeypatch, ValueError("something else"))
+
+
+@pytest.mark.parametrize("profile", ["quick", "paper"])
+def test_each_profile_asks_for_every_image_of_it(profile):
+    """`longer` names no scene in the quick one: an empty list was refused there."""
+    asked = {}
+
+    class Progress:
+        def map(self, stage, work, points):
+            asked[stage] = points
+            if stage == "images":
+                raise InterruptedError
+            return [([0.0], [0.0]) for _ in points]
+
+    config = flatland_images.PROFILES[profile]
+    with pytest.raises(InterruptedError):
+        flatland_images.run(config, 0, Progress())
+    work = {point[0]: point[5] for point in asked["images"]}
+    assert work == {s: 30 + 4 * (s in config.longer.split()) for s in config.scenes.split()}
