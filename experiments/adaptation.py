@@ -1,11 +1,8 @@
 """Adaptive step size and large-step probability: adaptation that fades keeps the law, one that does not loses it."""
 
 from dataclasses import dataclass
-from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -13,18 +10,11 @@ from matplotlib.figure import Figure
 from rich.box import SIMPLE
 from rich.table import Table
 
-import mcmc1d
+from experiments.support.adaptation_line import GAINS, LINE, predicted, simulate
+from experiments.support.adaptation_ring import KINDS, VALUES, accepted_or_not, adaptive_chain
 from experiments.support.framework import Claim
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import verdict
-from mcmc1d.metropolis import Metropolis
-from mcmc1d.moves import SmallStep
-from mcmc1d.numerics import cast, limit
-from mcmc1d.random import uniforms
-from mcmc1d.state import Multiplexed, State
-from mcmc1d.targets import GaussianMixture
-from mcmc1d.techniques import Uniform
-from mcmc1d.verify import RingStep, enumerate_kernel, ring, step_operator
 from mcmc1d.verify.goodness import cdf_gap, expected_distance, p_value, smallest_gap, total_variation
 
 SOURCE = "Hachisuka et al. 2014, sec. 6"
@@ -50,56 +40,7 @@ class Config:
 
 PROFILES = {"quick": Config(), "paper": Config(horizon=1_000_000, chains=2**19, steps=2048, points=2**22)}
 
-VALUES = np.array([1, 3, 0.5, 2, 4, 0.2, 1])
-"""The density of a ring of seven."""
-LARGE = (0.1, 0.5, 0.9)
-KINDS = ("step size", "large-step probability")
-LINE = GaussianMixture([0.2, 0.65], [0.05, 0.15], [0.5, 0.5])
-"""A narrow mode and a broad one, which want different steps."""
-WANTED = 0.5
-"""The acceptance rate that is steered to."""
-BOUNDS = (float(np.log(0.02)), float(np.log(0.5)))
-"""Of the logarithm of the step size: without bounds, containment would have to be shown."""
-GAINS = {"none": (0.0, 0.0), "fading": (2.0, 1.0), "not fading": (2.0, 0.0)}
-"""The gain of step n is c / n^e."""
 MARKS = 10.0
-
-
-def accepted_or_not(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """(accepted, rejected) of every setting of what is adapted: the ring's matrices, (settings, n, n) each.
-
-    From enumeration of this library's kernels. A step size is an offset of 1, 2 or 3 either way; a large step is
-    uniform on the ring, and accepted where it leads nowhere.
-    """
-    n = len(VALUES)
-    target, states = ring(VALUES)
-
-    def matrix(move: RingStep) -> np.ndarray:
-        return enumerate_kernel(move, target, states, probes=33).matrix
-
-    off = 1 - np.eye(n)
-    sizes = [matrix(RingStep(n, {k: 0.5, -k: 0.5})) for k in (1, 2, 3)]
-    if kind == KINDS[0]:
-        every, idle = sizes, [0.0] * len(sizes)
-    else:
-        large = matrix(RingStep(n, dict.fromkeys(range(n), 1 / n)))
-        every, idle = [q * large + (1 - q) * sizes[0] for q in LARGE], [q / n for q in LARGE]
-    accepted = np.stack([m * off + rest * np.eye(n) for m, rest in zip(every, idle, strict=True)])
-    return accepted, np.stack(every) - accepted
-
-
-def adaptive_chain(accepted: np.ndarray, rejected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The matrices on (setting, state): of a step after which the setting is adapted, and of one after which it stays.
-
-    An accepted proposal raises the setting by one, a rejected one lowers it, as far as there are any.
-    """
-    settings, n = accepted.shape[:2]
-    adapted, kept = np.zeros((settings, n, settings, n)), np.zeros((settings, n, settings, n))
-    for s in range(settings):
-        adapted[s, :, min(s + 1, settings - 1)] += accepted[s]
-        adapted[s, :, max(s - 1, 0)] += rejected[s]
-        kept[s, :, s] = accepted[s] + rejected[s]
-    return adapted.reshape(settings * n, -1), kept.reshape(settings * n, -1)
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
@@ -128,12 +69,12 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     masses = LINE.bin_masses(edges)
     counts, sigmas, rates = [], [], []
     for k, gain in enumerate(GAINS.values()):
-        x, log_sigma, rate = simulate(config, gain, jax.random.fold_in(jax.random.key(seed), k))
+        x, log_sigma, rate = simulate(config.chains, config.steps, gain, jax.random.fold_in(jax.random.key(seed), k))
         counts.append(np.histogram(x, edges)[0])
         sigmas.append(float(np.exp(np.median(log_sigma))))
         rates.append(rate)
         progress("line", k + 1, len(GAINS))
-    law = predicted(config, edges, seed)
+    law = predicted(config.points, edges, seed)
     return xr.Dataset(
         {
             "pi": ("state", pi),
@@ -161,64 +102,6 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
             "gain": list(GAINS),
         },
     )
-
-
-def simulate(config: Config, gain: tuple[float, float], key: jax.Array) -> tuple[np.ndarray, np.ndarray, float]:
-    """The last x and log step size of independent adaptive chains, started exactly; the last step's acceptance."""
-    target = Multiplexed(LINE, Uniform())
-    first, second = jax.random.split(key)
-    start = mcmc1d.exact_start(first, target, config.chains)
-    log_sigma = jnp.full(config.chains, np.log(0.1), start.u.dtype)
-    factor, exponent = (jnp.asarray(part, start.u.dtype) for part in gain)
-    found = _walk(second, cast(target, start.u.dtype), start, log_sigma, factor, exponent, jnp.asarray(config.steps))
-    x, sizes, rate = (np.asarray(part) for part in found)
-    return x, sizes, float(rate)
-
-
-def _adapt(
-    target: Multiplexed, state: State, log_sigma: Any, w: jax.Array, gain: jax.Array
-) -> tuple[State, jax.Array, jax.Array]:
-    """One step of the library's kernel, and the step size after it: up where the proposal was good, else down."""
-    step = Metropolis(SmallStep(jnp.exp(log_sigma)), "plain").step(target, state, w)
-    a = step.info.acceptance[0]
-    return step.state, limit(log_sigma + gain * (a - WANTED), *BOUNDS), a
-
-
-@eqx.filter_jit
-def _walk(
-    key: jax.Array, target: Multiplexed, start: State, log_sigma: Any, factor: Any, exponent: Any, steps: Any
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    def body(n: jax.Array, carry: Any) -> Any:
-        state, size, _ = carry
-        gain = factor / (n + 1.0) ** exponent
-        w = uniforms(key, n, (2, size.shape[0]), size.dtype).T
-        state, size, a = jax.vmap(lambda s, z, w: _adapt(target, s, z, w, gain.astype(z.dtype)))(state, size, w)
-        return state, size, a.mean()
-
-    first = (jax.vmap(target.evaluate)(State(start.index, start.u)), log_sigma, jnp.zeros((), log_sigma.dtype))
-    state, size, rate = jax.lax.fori_loop(0, steps, body, first)
-    return state.seen.x, size, rate
-
-
-def predicted(config: Config, edges: np.ndarray, seed: int) -> np.ndarray:
-    """The law of x that adaptation without fading keeps: (x, log sigma) is a Markov chain, and has an operator."""
-    target, gain = Multiplexed(LINE, Uniform()), GAINS["not fading"][0]
-
-    def step(key: jax.Array, z: jax.Array) -> jax.Array:
-        own = cast(target, z.dtype)
-        state = own.evaluate(State(jnp.zeros((), jnp.int32), z[:1]))
-        w = jax.random.uniform(key, (2,), z.dtype)
-        after, size, _ = _adapt(own, state, z[1], w, jnp.asarray(gain, z.dtype))
-        return jnp.stack([after.seen.x, size])
-
-    def log_density(z: jax.Array) -> jax.Array:
-        return cast(LINE, z.dtype).log_f(z[0])
-
-    lower, upper = [0.0, BOUNDS[0]], [1.0, BOUNDS[1]]
-    operator = step_operator(
-        step, log_density=log_density, lower=lower, upper=upper, cells=64, points=config.points, seed=seed
-    )
-    return operator.law_of(edges, lambda z: z[..., 0]).masses[0]
 
 
 def draw(data: xr.Dataset) -> Figure:

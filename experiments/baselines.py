@@ -1,12 +1,8 @@
 """emcee, BlackJAX and this library's moves on one line and one banana: what an independent sample costs each."""
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import blackjax
-import emcee
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -18,8 +14,17 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.framework import Claim
+from experiments.support.samplers import (
+    Method,
+    Size,
+    autocorrelation_time,
+    blackjax_nuts,
+    blackjax_walk,
+    emcee_stretch,
+    library,
+)
 from experiments.support.sweep import Sweep
-from mcmc1d.moves import LargeStep, Mixture, Move, MultipleTry, ReversibleJump, SmallStep, StepAndChange
+from mcmc1d.moves import LargeStep, Mixture, MultipleTry, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.moves.multiple_try import by_target
 from mcmc1d.targets import Banana, GaussianMixture, Target
 from mcmc1d.techniques import MarginalConditional, PiecewiseConstant, Rectangle, Technique, Uniform
@@ -27,18 +32,11 @@ from mcmc1d.verify.goodness import p_value, smallest_gap, total_variation
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Size):
     """The experiment's numbers."""
 
-    chains: int = 128
-    steps: int = 2000
     repeats: int = 3
     """Of every method, with other numbers; medians are reported."""
-    walkers: int = 32
-    """Of an ensemble of emcee, of which there are `ensembles`."""
-    ensembles: int = 3
-    ensemble_steps: int = 1500
-    nuts_steps: int = 1500
     large: float = 0.1
     """Probability of a large step, where there are any."""
     level: float = 1e-6
@@ -82,19 +80,6 @@ def cases() -> dict[str, Case]:
     }
 
 
-class Walk(NamedTuple):
-    """What one run of a method leaves."""
-
-    x: np.ndarray
-    """(steps, chains, d)."""
-    seconds: float
-    evaluations: float
-    """Of the target, a step of one chain; a gradient counts as one."""
-
-
-Method = Callable[[int], Walk]
-
-
 def methods(config: Config, case: Case) -> dict[str, Method]:
     """Name -> a function of the seed."""
     small, q = SmallStep(case.sigma), config.large
@@ -102,104 +87,18 @@ def methods(config: Config, case: Case) -> dict[str, Method]:
     two = mcmc1d.Multiplexed(case.target, (case.whole, case.coarse))
     change = StepAndChange(LargeStep())
     with_jumps = Mixture({"large": (q, change), "small": (0.7 - q, small), "jump": (0.3, ReversibleJump())})
+    both = Mixture({"large": (q, LargeStep()), "small": (1 - q, small)})
+    tries = MultipleTry(SmallStep(2 * case.sigma), TRIES, by_target)
     return {
-        "emcee stretch": lambda seed: _emcee(config, one, seed),
-        "BlackJAX random walk": _blackjax(config, case, one, "walk"),
-        "BlackJAX NUTS": _blackjax(config, case, one, "nuts"),
-        "small": lambda seed: _library(config, one, small, 1, seed),
-        "small + large": lambda seed: _library(
-            config, one, Mixture({"large": (q, LargeStep()), "small": (1 - q, small)}), 1, seed
-        ),
+        "emcee stretch": emcee_stretch(config, one),
+        "BlackJAX random walk": blackjax_walk(config, one, case.sigma),
+        "BlackJAX NUTS": blackjax_nuts(config, one, case.scale),
+        "small": library(config, one, small, 1),
+        "small + large": library(config, one, both, 1),
         # A jump keeps x and evaluates nothing.
-        "+ reversible jumps": lambda seed: _library(config, two, with_jumps, 0.7, seed),
-        f"multiple-try, {TRIES}": lambda seed: _library(
-            config, one, MultipleTry(SmallStep(2 * case.sigma), TRIES, by_target), 2 * TRIES - 1, seed
-        ),
+        "+ reversible jumps": library(config, two, with_jumps, 0.7),
+        f"multiple-try, {TRIES}": library(config, one, tries, 2 * TRIES - 1),
     }
-
-
-def _library(config: Config, target: mcmc1d.Multiplexed, move: Move, evaluations: float, seed: int) -> Walk:
-    first, second = jax.random.split(jax.random.key(seed))
-    start = mcmc1d.exact_start(first, target, config.chains)
-    began = time.perf_counter()
-    x = mcmc1d.trace(second, move, target, steps=config.steps, chains=config.chains, start=start).x
-    seconds = time.perf_counter() - began
-    return Walk(x[..., None] if x.ndim == 2 else x, seconds, evaluations)
-
-
-def _start(target: mcmc1d.Multiplexed, seed: int, count: int) -> np.ndarray:
-    """Exact draws of x, (count, d)."""
-    return np.asarray(mcmc1d.exact_start(jax.random.key(seed), target, count).seen.x).reshape(count, -1)
-
-
-def _emcee(config: Config, target: mcmc1d.Multiplexed, seed: int) -> Walk:
-    scalar = np.ndim(target.target.domain[0]) == 0
-    batch = jax.jit(jax.vmap(lambda x: target.target.log_f(x[0] if scalar else x)))
-    starts = _start(target, seed, config.walkers * config.ensembles)
-    batch(starts[: config.walkers // 2])  # compiles
-    chains, seconds = [], 0.0
-    for k, start in enumerate(np.split(starts, config.ensembles)):
-        sampler = emcee.EnsembleSampler(
-            config.walkers,
-            start.shape[1],
-            lambda x: np.asarray(batch(x.astype(np.float32)), np.float64),
-            moves=emcee.moves.StretchMove(),
-            vectorize=True,
-        )
-        sampler.random_state = np.random.RandomState(seed * config.ensembles + k).get_state()
-        began = time.perf_counter()
-        sampler.run_mcmc(start.astype(np.float64), config.ensemble_steps, skip_initial_state_check=True)
-        seconds += time.perf_counter() - began
-        chains.append(sampler.get_chain())
-    return Walk(np.concatenate(chains, axis=1), seconds, 1)
-
-
-def _blackjax(config: Config, case: Case, target: mcmc1d.Multiplexed, kind: str) -> Method:
-    lower, upper = (np.atleast_1d(np.asarray(corner, np.float32)) for corner in case.target.domain)
-    scalar = np.ndim(case.target.domain[0]) == 0
-
-    def log_f(x: Any) -> Any:
-        return case.target.log_f(x[0] if scalar else x)
-
-    algorithm: Any
-    if kind == "nuts":
-        algorithm, steps = blackjax.nuts(log_f, case.scale, np.ones(len(lower), np.float32)), config.nuts_steps
-    else:
-        sides = case.sigma * (upper - lower)
-        algorithm, steps = blackjax.rmh(log_f, lambda key, x: x + sides * jax.random.normal(key, x.shape)), config.steps
-
-    def chain(key: Any, x: Any) -> Any:
-        def step(state: Any, key: Any) -> Any:
-            state, info = algorithm.step(key, state)
-            return state, (state.position, info.num_integration_steps if kind == "nuts" else 1)
-
-        return jax.lax.scan(step, algorithm.init(x), jax.random.split(key, steps))[1]
-
-    keys = jax.random.split(jax.random.key(0), config.chains)
-    walk = jax.jit(jax.vmap(chain)).lower(keys, _start(target, 0, config.chains)).compile()
-
-    def method(seed: int) -> Walk:
-        starts = _start(target, seed, config.chains)
-        keys = jax.random.split(jax.random.key(seed + 1000), config.chains)
-        began = time.perf_counter()
-        x, evaluations = jax.block_until_ready(walk(keys, starts))
-        seconds = time.perf_counter() - began
-        return Walk(np.moveaxis(np.asarray(x), 0, 1), seconds, float(np.mean(evaluations)))
-
-    return method
-
-
-def autocorrelation_time(x: np.ndarray, window: float = 5) -> float:
-    """The integrated autocorrelation time of (steps, chains), by Sokal's window, about the mean of all chains.
-
-    About each chain's own mean it would come out too short where a chain is not many times as long.
-    """
-    n = len(x)
-    spectrum = np.abs(np.fft.rfft(x - x.mean(), 2 * n, axis=0)) ** 2
-    correlation = np.fft.irfft(spectrum.mean(1))[:n] / np.arange(n, 0, -1)
-    times = 2 * np.cumsum(correlation / correlation[0]) - 1
-    enough = np.arange(n) >= window * times
-    return float(times[np.argmax(enough) if enough.any() else n - 1])
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:

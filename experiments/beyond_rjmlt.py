@@ -13,20 +13,17 @@ from rich.table import Table
 
 import mcmc1d
 from experiments.support.beyond_rjmlt_dimensions import RIGHT, TRANSDIMENSIONAL, LineAndSquare, kernels
+from experiments.support.beyond_rjmlt_pairs import HalfTheAngles, pairs
+from experiments.support.beyond_rjmlt_scaled import SCALED_AT, SIZES, SMOOTH, TECHNIQUES, UnaccountedStep, times
 from experiments.support.framework import Claim
 from experiments.support.long import long_run
 from experiments.support.sweep import Sweep
 from experiments.support.verdict import detects, passes, verdict
 from mcmc1d import verify
-from mcmc1d.moves import LargeStep, Mixture, Move, Proposal, ReversibleJump, SmallStep
 from mcmc1d.moves.scaled import ScaledStep
-from mcmc1d.state import Multiplexed, State
-from mcmc1d.targets import Sinusoid
-from mcmc1d.targets.planar import Banana
-from mcmc1d.techniques import PiecewiseLinear, Technique
-from mcmc1d.techniques.base import Forward, Inverse
+from mcmc1d.state import Multiplexed
 from mcmc1d.techniques.gaussian import BoxMuller
-from mcmc1d.types import Array, Corners, Float, Scalar
+from mcmc1d.types import Array, Float
 from mcmc1d.verify.goodness import expected_distance, total_variation
 
 SOURCE = "Bitterli et al. 2017"
@@ -46,90 +43,6 @@ class Config:
 
 
 PROFILES = {"quick": Config(), "paper": Config(replicas=2**19, chains=2**15, steps=2048, points=2**18)}
-
-
-# --- two samples at once ---------------------------------------------------------------------------------------------
-
-
-class HalfTheAngles(Technique):
-    """Box-Muller with an inverse by the arc tangent of the ratio, which knows no quadrant."""
-
-    right: BoxMuller = BoxMuller((0.0, 0.3), 0.8)
-
-    @property
-    def dim_u(self) -> int:
-        return 2
-
-    @property
-    def support(self) -> Corners:
-        return self.right.support
-
-    def forward(self, u: Float[Array, " 2"]) -> Forward:
-        return self.right.forward(u)
-
-    def inverse(self, x: Float[Array, " 2"], v: Float[Array, " 0"]) -> Inverse:
-        u, log_det = self.right.inverse(x, v)
-        return u.at[1].set(u[1] % 0.5), log_det
-
-    def log_prob(self, x: Float[Array, " 2"]) -> Scalar:
-        return self.right.log_prob(x)
-
-
-def pairs(technique: Technique) -> tuple[Multiplexed, Move]:
-    """A banana seen through two Box-Muller techniques, and jumps between them."""
-    target = Multiplexed(Banana(), (technique, BoxMuller((0.2, 1.0), 1.6)))
-    move = Mixture({"small": (0.5, SmallStep(0.1)), "large": (0.1, LargeStep()), "jump": (0.4, ReversibleJump())})
-    return target, move
-
-
-# --- steps sized by the Jacobian -------------------------------------------------------------------------------------
-
-
-class UnaccountedStep(Move):
-    """The scaled step, taken for symmetric."""
-
-    right: ScaledStep
-
-    def dim_w(self, target: Multiplexed) -> int:
-        return self.right.dim_w(target)
-
-    def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
-        proposal = self.right.propose(target, state, w)
-        return Proposal(proposal.state, proposal.w, 0 * proposal.log_det)
-
-
-SMOOTH = Sinusoid(0.5, 1.0, 0.2, 1.0)
-TECHNIQUES = {
-    "poor match": PiecewiseLinear([0, 0.2, 0.5, 0.8, 1], [0.1, 2.0, 0.1, 2.0, 0.1]),
-    "good match": mcmc1d.techniques.RaisedSinusoid(0.5, 1, 0.2),
-}
-SIZES = np.array([0.05, 0.1, 0.15, 0.25, 0.4])
-SCALED_AT = 0.15
-
-
-def times(cells: int = 600) -> np.ndarray:
-    """The integrated autocorrelation time of x: by (technique, kind of step, size), from the chain on cells of u.
-
-    The midpoint rule; the narrowest step is three cells wide. The time by the fundamental matrix (I - P + 1 pi)^-1.
-    """
-    found = np.zeros((len(TECHNIQUES), 2, len(SIZES)))
-    u = (np.arange(cells) + 0.5) / cells
-    away = u - u[:, None] + np.arange(-6, 7)[:, None, None]
-    for i, technique in enumerate(TECHNIQUES.values()):
-        with jax.enable_x64(True):
-            x = jax.vmap(technique.quantile)(jnp.asarray(u))
-            p, f = (np.exp(np.asarray(jax.vmap(log)(x))) for log in (technique.log_prob, SMOOTH.log_f))
-        pi, x = f / p / (f / p).sum(), np.asarray(x)
-        for j, k in np.ndindex(2, len(SIZES)):
-            size = (SIZES[k] * (p if j else np.ones(cells)))[:, None]
-            q = (np.exp(-((away / size) ** 2) / 2).sum(0)) / (size * np.sqrt(2 * np.pi) * cells)
-            flux = np.minimum(pi[:, None] * q, (pi[:, None] * q).T)
-            matrix = flux / pi[:, None]
-            matrix[np.diag_indices(cells)] += 1 - matrix.sum(1)
-            g = x - pi @ x
-            later = np.linalg.solve(np.eye(cells) - matrix + pi, g)
-            found[i, j, k] = 2 * (pi * g) @ later / (pi @ g**2) - 1
-    return found
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:

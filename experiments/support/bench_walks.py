@@ -12,8 +12,8 @@ import numpy as np
 import numpyro
 
 import mcmc1d
-from experiments.baselines import autocorrelation_time
 from experiments.support.bench_steps import Contestant, library
+from experiments.support.samplers import autocorrelation_time
 from mcmc1d.metropolis import Metropolis
 from mcmc1d.moves import SmallStep
 from mcmc1d.targets import GaussianMixture

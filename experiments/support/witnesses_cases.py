@@ -5,11 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments import beyond_rjmlt, cmlt_sigma_p, importance_functions, mtm_lambda, planar, rjmlt_fig3, rjmlt_inverses
+from experiments import cmlt_sigma_p, importance_functions, mtm_lambda, planar, rjmlt_fig3, rjmlt_inverses
 from experiments import mmlt_marginals as multiplexing
 from experiments import tempering as ladders
 from experiments.support.beyond_rjmlt_dimensions import RIGHT, TRANSDIMENSIONAL
 from experiments.support.beyond_rjmlt_dimensions import kernels as dimension_jumps
+from experiments.support.beyond_rjmlt_pairs import pairs
+from experiments.support.beyond_rjmlt_scaled import SMOOTH, TECHNIQUES, UnaccountedStep
 from mcmc1d import tempering
 from mcmc1d.checks import require_instance
 from mcmc1d.metropolis import Kernel
@@ -173,8 +175,8 @@ def _jumps() -> dict[str, Case]:
 
 
 def _beyond() -> dict[str, Case]:
-    smooth = Multiplexed(beyond_rjmlt.SMOOTH, beyond_rjmlt.TECHNIQUES["poor match"])
-    banana, move = beyond_rjmlt.pairs(BoxMuller((0.0, 0.3), 0.8))
+    smooth = Multiplexed(SMOOTH, TECHNIQUES["poor match"])
+    banana, move = pairs(BoxMuller((0.0, 0.3), 0.8))
     plane, line_and_square = banana.target, TRANSDIMENSIONAL.target
     claims = {
         "same numbers": "jump-numbers",
@@ -206,9 +208,7 @@ def _beyond() -> dict[str, Case]:
             edges=(float(lower[0]), float(upper[0])),
         ),
         "step by the Jacobian": Case("beyond.scaled-step", ScaledStep(0.15), smooth),
-        "taken for symmetric": Case(
-            "beyond.scaled-symmetric", beyond_rjmlt.UnaccountedStep(ScaledStep(0.15)), smooth, False
-        ),
+        "taken for symmetric": Case("beyond.scaled-symmetric", UnaccountedStep(ScaledStep(0.15)), smooth, False),
     }
 
 

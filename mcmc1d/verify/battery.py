@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 from mcmc1d.checks import require
+from mcmc1d.verify.ends import interval
 from mcmc1d.verify.goodness import (
     cells_p_value,
     dkw_p_value,
@@ -181,7 +182,7 @@ class OneSample(Test):
             return "nothing deposited"
         if self.places is not None:
             ends = self.places
-            return f"{self.name} in [{ends[k]:.4g}, {ends[k + 1]:.4g}]"
+            return f"{self.name} in {interval(ends[k], ends[k + 1])}"
         labels = self.statistic.labels if isinstance(self.statistic, Discrete) else ()
         if not labels:
             return f"{self.name}, cell {k}"
@@ -280,7 +281,7 @@ class TwoSample(Test):
         order = np.argsort(-np.abs(z))[:most]
         if not self.ordered:
             return [f"{self.name}, cell {k}: {z[k]:+.0f} s.d." for k in order]
-        return [f"{self.name} in [{ends[k]:.4g}, {ends[k + 1]:.4g}]: {z[k]:+.0f} s.d." for k in order]
+        return [f"{self.name} in {interval(ends[k], ends[k + 1])}: {z[k]:+.0f} s.d." for k in order]
 
 
 def coordinates(positions: Position) -> dict[str, np.ndarray]:

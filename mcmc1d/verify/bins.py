@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from mcmc1d.verify.ends import interval
 from mcmc1d.verify.statistic import Discrete, Position
 
 
@@ -18,7 +19,7 @@ class Bins:
 
     def statistic(self) -> Discrete:
         """As cells that are tested."""
-        spans = [f"x in [{a:.4g}, {b:.4g}]" for a, b in zip(self.edges[:-1], self.edges[1:], strict=True)]
+        spans = [f"x in {interval(a, b)}" for a, b in zip(self.edges[:-1], self.edges[1:], strict=True)]
         joint = self.masses.ndim == 2
         labels = [f"technique {i}, {span}" for i in range(len(self.masses)) for span in spans] if joint else spans
         masses = self.masses.ravel() / self.masses.sum()
@@ -62,7 +63,7 @@ class PlanarBins:
     def statistic(self) -> Discrete:
         """As cells that are tested."""
         spans = [
-            f"x in [{a:.4g}, {b:.4g}] x [{c:.4g}, {d:.4g}]"
+            f"x in {interval(a, b)} x {interval(c, d)}"
             for a, b in itertools.pairwise(self.x_edges)
             for c, d in itertools.pairwise(self.y_edges)
         ]

@@ -36,6 +36,15 @@ def varies(values: np.ndarray) -> bool:
     return bool(np.max(values) != np.min(values))
 
 
+def interval(low: float, high: float) -> str:
+    """The cell between two ends, to four digits, or as many more as tell it from its neighbours."""
+    width, size = high - low, max(abs(low), abs(high))
+    digits = 4
+    if np.isfinite(width) and width > 0:
+        digits = min(max(digits, 2 + int(np.ceil(np.log10(size / width)))), 17)
+    return f"[{low:.{digits}g}, {high:.{digits}g}]"
+
+
 def inner_ends(values: np.ndarray, cells: int) -> np.ndarray:
     """`cell_ends`, without what is not seen."""
     return cell_ends(values, cells).inner

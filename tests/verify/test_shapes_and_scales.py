@@ -16,6 +16,7 @@ from mcmc1d.state import State
 from mcmc1d.targets import Tabulated
 from mcmc1d.techniques import Uniform
 from mcmc1d.verify import Discrete, HostKernel, JaxKernel, Law, Verdict, forgetting, step_operator, verify
+from mcmc1d.verify.ends import interval
 from mcmc1d.verify.kernels import HostSubject
 from mcmc1d.verify.law import multiplexed_law
 from mcmc1d.verify.outcomes import StepFlux
@@ -189,6 +190,14 @@ WAVELENGTHS = {
     "half": {"cdf": lambda x: np.clip((x - A) / (B - A), 0, 1), "support": (A, np.inf)},
     "bins": {"bins": (EDGES, np.ones(64))},
 }
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [(0.25, 0.5, "[0.25, 0.5]"), (1e5, 1e5 + 0.25, "[100000, 100000.25]"), (-np.inf, 1e5 + 0.25, "[-inf, 1e+05]")],
+)
+def test_cells_far_from_zero_are_told_apart(low, high, said):
+    assert interval(low, high) == said
 
 
 @pytest.mark.parametrize("known", WAVELENGTHS)

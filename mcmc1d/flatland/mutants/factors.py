@@ -16,13 +16,14 @@ from mcmc1d.flatland.integrators.base import Integrator, brightest
 from mcmc1d.flatland.integrators.image import Layer
 from mcmc1d.flatland.integrators.independent import independent
 from mcmc1d.flatland.mutants import Mutant, two_lamps
+from mcmc1d.flatland.mutants.altered import Altered
 from mcmc1d.flatland.paths import Paths, lamps
 from mcmc1d.flatland.sampling import bootstrap
 from mcmc1d.flatland.scene import Scene
 from mcmc1d.numerics import pick
 from mcmc1d.state import Multiplexed
-from mcmc1d.techniques import Family, Looked, Technique
-from mcmc1d.types import Array, Float, Index, Key, Scalar
+from mcmc1d.techniques import Looked
+from mcmc1d.types import Array, Float, Index, Key
 
 
 class Powers(eqx.Module):
@@ -47,32 +48,10 @@ class Powers(eqx.Module):
             setattr(self, name, np.asarray(wrong.get(name, 0.0)))
 
 
-class Tampered(Family):
+class Tampered(Altered):
     """The techniques of bidirectional path tracing, with light and densities that are off."""
 
-    right: Bidirectional
     powers: Powers
-
-    @property
-    def members(self) -> tuple[Technique, ...]:
-        return self.right.members
-
-    @property
-    def dim_u(self) -> int:
-        return self.right.dim_u
-
-    @property
-    def dim_x(self) -> int:
-        return self.right.dim_x
-
-    def forward(self, index: Index, u: Float[Array, " m"]) -> tuple[Array, Array, Scalar]:
-        return self.right.forward(index, u)
-
-    def inverse(self, index: Index, x: Float[Array, "..."], v: Float[Array, " k"]) -> tuple[Array, Scalar]:
-        return self.right.inverse(index, x, v)
-
-    def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
-        return self.right.log_probs(x)
 
     def look(self, target: Any, index: Index, u: Float[Array, " m"]) -> Looked:
         x, v, log_det, log_f, log_p, *_ = self.right.look(target, index, u)

@@ -9,13 +9,13 @@ from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators import MMLT, RJMLT
 from mcmc1d.flatland.integrators.chains import Metropolised
 from mcmc1d.flatland.mutants import Mutant, two_lamps
+from mcmc1d.flatland.mutants.altered import Altered
 from mcmc1d.flatland.paths import Paths
 from mcmc1d.metropolis import Kernel, Metropolis
 from mcmc1d.moves import LargeStep, Mixture, Move, Proposal, ReversibleJump, SmallStep, StepAndChange
 from mcmc1d.numerics import below_one
 from mcmc1d.special import normal_quantile
 from mcmc1d.state import Multiplexed, State
-from mcmc1d.techniques import Family, Technique
 from mcmc1d.types import Array, Float, Index, Scalar
 
 
@@ -67,25 +67,8 @@ class WrongKernel(Metropolised):
         return self.right.rays(target, paths, counts)
 
 
-class ForgetfulLamps(Family):
+class ForgetfulLamps(Altered):
     """Techniques whose inverse takes the place on a lamp for the number that chose the lamp as well."""
-
-    right: Bidirectional
-
-    @property
-    def members(self) -> tuple[Technique, ...]:
-        return self.right.members
-
-    @property
-    def dim_u(self) -> int:
-        return self.right.dim_u
-
-    @property
-    def dim_x(self) -> int:
-        return self.right.dim_x
-
-    def forward(self, index: Index, u: Float[Array, " m"]) -> tuple[Array, Array, Scalar]:
-        return self.right.forward(index, u)
 
     def inverse(self, index: Index, x: Float[Array, "..."], v: Float[Array, " k"]) -> tuple[Array, Scalar]:
         u, log_det = self.right.inverse(index, x, v)
@@ -94,9 +77,6 @@ class ForgetfulLamps(Family):
         read = jnp.asarray(self.right.lengths)[index] <= self.right.paths.edges
         place = below_one(along / walls.at(walls.length, segment))
         return u.at[-1].set(jnp.where(read, place, u[-1])), log_det
-
-    def log_probs(self, x: Float[Array, "..."]) -> tuple[Scalar, ...]:
-        return self.right.log_probs(x)
 
 
 def _jumping(power: float) -> Callable[[], Kernel]:
