@@ -1,6 +1,7 @@
 """What a verification has found: its verdict, the reasons, and all that they rest on."""
 
 from mcmc1d.verify.battery import OneSample
+from mcmc1d.verify.control import doubts
 from mcmc1d.verify.design import unseen
 from mcmc1d.verify.diagnose import diagnose
 from mcmc1d.verify.library import LibrarySubject
@@ -14,13 +15,13 @@ SETTLE = 0.05
 def concluded(trial: Trial, name: str, seed: int, gap: float | None, seconds: float) -> Report:
     """The report of a trial whose stages are done; `gap`: what was asked for, `seconds`: what it took."""
     bought, limit = trial.power.gap(trial.n, trial.grow), SETTLE if gap is None else gap
-    doubts = list(trial.inconclusive)
+    unsure = list(trial.inconclusive)
     if not trial.reasons and limit * (1 + 1e-9) < bought:
-        doubts.append(
+        unsure.append(
             f"a gap of {limit:g} with probability {trial.sure:g} is out of reach: {trial.n} replicas detect "
             f"{bought:.2g}; allow more seconds= or replicas=, or a larger gap="
         )
-    verdict = Verdict.FAIL if trial.reasons else Verdict.INCONCLUSIVE if doubts else Verdict.PASS
+    verdict = Verdict.FAIL if trial.reasons else Verdict.INCONCLUSIVE if unsure else Verdict.PASS
     threshold = trial.scheme.beta(max(trial.stages, 1)) / len(trial.keys)
     return Report(
         untested=_untested(trial),
@@ -28,7 +29,7 @@ def concluded(trial: Trial, name: str, seed: int, gap: float | None, seconds: fl
         kernel=trial.sampler.subject.name,
         law=trial.sampler.law.name,
         verdict=verdict,
-        reasons=trial.reasons or doubts,
+        reasons=trial.reasons or unsure,
         level=trial.scheme.level,
         threshold=threshold,
         p_value=trial.p_value,
@@ -95,7 +96,7 @@ def _diagnosis(trial: Trial) -> list[str]:
             "chains at one place all move alike: where they share a random number, no p-value holds; draw one for "
             "each, of size=len(x)"
         )
-    return found
+    return found + doubts(sampler)
 
 
 def _untested(trial: Trial) -> list[str]:
