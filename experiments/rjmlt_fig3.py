@@ -27,7 +27,7 @@ from mcmc1d.checks import require, require_whole
 from mcmc1d.compiling import quickly
 from mcmc1d.moves import AimedJump, Mixture, Move, ReversibleJump, SmallStep, TechniqueChange
 from mcmc1d.techniques import Mixture as MixtureTechnique
-from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Technique, Tent
+from mcmc1d.techniques import PiecewiseConstant, RaisedSinusoid, Ramp, Tent
 from mcmc1d.verify.goodness import cdf_gap, p_value, smallest_gap, total_variation
 from mcmc1d.verify.mutants.jumps import no_jacobian
 from mcmc1d.verify.mutants.mixtures import FixedPointInverse
@@ -80,26 +80,20 @@ RIGHT = {"multiplexed": True, "no Jacobian": False, "fixed point": False, "full"
 _MIXTURE = MixtureTechnique((RaisedSinusoid(0.9), Ramp(2.0)), (0.3, 0.7))
 
 
-def integrators(config: Config) -> dict[str, tuple[mcmc1d.Multiplexed, Move]]:
-    """Each integrator's name, density and move; the wrong ones are mutants of the right one's parts."""
-    right, wrong = (_target(config, technique) for technique in (_MIXTURE, FixedPointInverse(_MIXTURE)))
-    jumps: dict[str, tuple[mcmc1d.Multiplexed, Move]] = {
-        "multiplexed": (right, TechniqueChange()),
-        "no Jacobian": (right, no_jacobian(ReversibleJump())),
-        "fixed point": (wrong, ReversibleJump()),
-        "full": (right, ReversibleJump()),
-        "full, aimed": (right, AimedJump()),
+def integrator(config: Config, name: str) -> tuple[mcmc1d.Multiplexed, Move]:
+    """Its density and move; the wrong ones are mutants of the right one's parts."""
+    jumps: dict[str, Move] = {
+        "multiplexed": TechniqueChange(),
+        "no Jacobian": no_jacobian(ReversibleJump()),
+        "fixed point": ReversibleJump(),
+        "full": ReversibleJump(),
+        "full, aimed": AimedJump(),
     }
-    small = SmallStep(config.sigma)
-    return {
-        name: (target, Mixture({KINDS[0]: (1 - config.jump, small), KINDS[1]: (config.jump, jump)}))
-        for name, (target, jump) in jumps.items()
-    }
-
-
-def _target(config: Config, mixture: Technique) -> mcmc1d.Multiplexed:
+    small, jump = (1 - config.jump, SmallStep(config.sigma)), (config.jump, jumps[name])
+    mixture = FixedPointInverse(_MIXTURE) if name == "fixed point" else _MIXTURE
     sinusoid = mcmc1d.targets.Sinusoid(config.amplitude, 2.0)
-    return mcmc1d.Multiplexed(sinusoid, (Tent(), PiecewiseConstant([0, 0.5, 1], [1.6, 0.4]), mixture))
+    target = mcmc1d.Multiplexed(sinusoid, (Tent(), PiecewiseConstant([0, 0.5, 1], [1.6, 0.4]), mixture))
+    return target, Mixture(dict(zip(KINDS, (small, jump), strict=True)))
 
 
 def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
@@ -118,7 +112,7 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
     results = [xr.Dataset.from_dict(found) for found in progress.map("integrators", measure, points)]
     data = xr.concat(results, "integrator").assign_coords(integrator=order).sel(integrator=list(RIGHT))
     return data.assign(
-        exact=(("technique", "bin"), _target(config, _MIXTURE).joint_masses(edges)),
+        exact=(("technique", "bin"), integrator(config, "full")[0].joint_masses(edges)),
         right=("integrator", list(RIGHT.values())),
         detectable_gap=smallest_gap(config.replicas, config.level),
         level=config.level,
@@ -130,12 +124,11 @@ def run(config: Config, seed: int, progress: Sweep) -> xr.Dataset:
 def measure(fields: dict[str, Any], seed: int, name: str) -> dict[str, Any]:
     """One integrator's results, as `xarray.Dataset.to_dict` has them."""
     config = Config(**fields)
-    target, move = integrators(config)[name]
+    target, move = integrator(config, name)
     key = jax.random.fold_in(jax.random.key(seed), list(RIGHT).index(name))
     first, second, third = jax.random.split(key, 3)
     edges = np.linspace(0, 1, config.bins + 1)
-    # One law for all: a wrong inverse changes neither f nor the densities.
-    exact = _target(config, _MIXTURE).joint_masses(edges)
+    exact = target.joint_masses(edges)  # the same for all: a wrong inverse changes neither f nor the densities
 
     # Blocks of one size and the same estimators, read or not: one program serves all three runs.
     size = config.chains // config.blocks

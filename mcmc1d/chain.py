@@ -13,7 +13,7 @@ import numpy as np
 from mcmc1d import parallel
 from mcmc1d.checkpoint import Place, Saving, describe
 from mcmc1d.checks import require, require_dtype, require_key, require_whole
-from mcmc1d.compiling import wide_jit
+from mcmc1d.compiling import compiled, wide_jit
 from mcmc1d.estimators import Estimator, added, empty, require_estimators
 from mcmc1d.metropolis import Kernel, as_kernel, step_batch
 from mcmc1d.moves import Move
@@ -119,6 +119,7 @@ def run(
     where the checkpoint is damaged, of another run (it says what differs), or open in one.
     """
     kernel, numbers = as_kernel(kernel, "run: the kernel"), source(random)
+    require(isinstance(every, int | float), f"run: every is a number of seconds, not {every!r}")
     require_multiplexed(target, "run")
     dtype = require_dtype(dtype, "run")
     require_key(key, "run")
@@ -152,8 +153,8 @@ def run(
         """All that the bits of the result depend on; what a user's functions do shows in the program."""
         sizes = {"steps": steps, "chains": chains, "blocks": blocks, "dtype": str(dtype), "random": random}
         parts = {"key": key, "start": (index, u), "kernel": kernel, "target": target, "estimators": asked}
-        compiled: Any = _advance
-        program = compiled.lower(*arguments(0, None, fresh[0], 0)).as_text()
+        loop: Any = _advance
+        program = loop.lower(*arguments(0, None, fresh[0], 0)).as_text()
         parts["program"] = f"{per_look} {jax.devices()[0].device_kind} {program}"
         versions = {name: version(name) for name in ("jax", "jaxlib")}
         return sizes | versions | {name: describe(part) for name, part in parts.items()}
@@ -233,7 +234,7 @@ def _advance(
     return State(state.index, state.u.T), sums, jnp.isposinf(state.seen.log_c)
 
 
-@eqx.filter_jit
+@compiled
 def _record(
     key: Key, numbers: Source, kernel: Kernel, target: Multiplexed, start: State, steps: int
 ) -> tuple[Array, Array, State, Bool[Array, " n"]]:

@@ -33,6 +33,23 @@ def require_positive(owner: object, **values: Any) -> None:
             )
 
 
+_LONGEST = 100.0
+
+
+def require_step(owner: object, **values: Any) -> None:
+    """Raise `ValueError` unless each named size of a step around the unit interval is positive and at most 100.
+
+    Of what is added float32 keeps so many digits after the point that the step is symmetric; around the ends one of 1
+    leads everywhere already.
+    """
+    require_positive(owner, **values)
+    for name, value in values.items():
+        require(
+            not is_concrete(value) or bool(np.all(np.asarray(value) <= _LONGEST)),
+            f"{type(owner).__name__}: {name} is a share of the unit interval, {_LONGEST:g} at most, not {value}",
+        )
+
+
 def require_instance(value: Any, kind: type[T], who: str, fix: str = "") -> T:
     """`value`, or `ValueError` unless it is an instance of `kind`: a class in its place is a common slip."""
     if isinstance(value, type):
@@ -50,6 +67,14 @@ def require_whole(value: Any, who: str, least: int = 1) -> int:
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     require(whole and bool(value >= least), f"{who} must be a whole number, {least} at least, not {value!r}")
     return int(value)
+
+
+def several(values: Any, who: str) -> tuple[Any, ...]:
+    """The values as a tuple, or `ValueError` for one alone."""
+    try:
+        return tuple(values)
+    except TypeError:
+        raise ValueError(f"{who} are several: give a list of them, [...], not {values!r}") from None
 
 
 def require_dtype(dtype: Any, who: str) -> Any:
@@ -140,7 +165,7 @@ def rising(edges: ArrayLike, who: str) -> np.ndarray:
     edges = np.asarray(edges, np.float64)
     require(
         edges.ndim == 1 and edges.size >= 2 and bool(np.all(np.diff(edges) > 0)),
-        f"{who}: the edges must rise, two at least in one dimension: {edges}",
+        f"{who}: the edges must rise, two at least in one dimension, not {edges}",
     )
     return edges
 

@@ -9,9 +9,11 @@ import jax
 from jax.extend.core import Jaxpr, jaxpr_as_fun, jaxprs_in_params
 
 from mcmc1d.constants import keep_precisions_apart
+from mcmc1d.outside import Outside
 
 F = TypeVar("F", bound=Callable)
 
+_WIDE = {"xla_cpu_prefer_vector_width": 512}
 _NARROW = ("atan",)
 """What XLA's CPU compiler gets wrong for vectors of 512 bits (jaxlib 0.10.2): it hands sixteen floats to its own
 arctangent in a register, which looks for them in memory. The results are random. All of `jax.lax` was tried."""
@@ -21,15 +23,20 @@ keep_precisions_apart()  # before anything is traced
 
 
 def jit_with(**options: Any) -> Callable[[F], F]:
-    """`equinox.filter_jit` with compiler options: arrays are traced, all else is static."""
+    """`equinox.filter_jit` with compiler options: arrays are traced, all else is static.
+
+    What the arguments' functions read from outside is static too: where a global has changed, there is a new program.
+    """
 
     def decorate(function: F) -> F:
         jit: Any = eqx.filter_jit
-        return jit(function, compiler_options=options)
+        return _Known(jit(_but_the_first(function), compiler_options=options), function)  # pyright: ignore[reportReturnType]
 
     return decorate
 
 
+compiled = jit_with()
+"""With XLA's defaults."""
 quickly = jit_with(
     xla_backend_optimization_level=1, xla_llvm_disable_expensive_passes=True, xla_cpu_use_fusion_emitters=False
 )
@@ -41,13 +48,23 @@ Level 0 compiles no faster, and wrongly: jaxlib 0.10.2 then returned another num
 
 
 def wide_jit(function: F) -> F:
-    """`equinox.filter_jit` for a CPU's widest vectors, which makes a chain's step up to 1.7 times as fast with AVX-512.
+    """`compiled` for a CPU's widest vectors, which makes a chain's step up to 1.7 times as fast with AVX-512.
 
     XLA's default is half that width; without AVX-512, and on a GPU, it makes no difference. A program with an
     operation that XLA gets wrong at that width is compiled with the default.
     """
-    wide: Any = jit_with(xla_cpu_prefer_vector_width=512)(functools.wraps(function)(_unless_narrow(function)))
-    return _Wide(wide, eqx.filter_jit(function))  # pyright: ignore[reportReturnType]
+    wide: Any = eqx.filter_jit(_but_the_first(_unless_narrow(function)), compiler_options=_WIDE)
+    return _Known(_Wide(wide, eqx.filter_jit(_but_the_first(function))), function)  # pyright: ignore[reportReturnType]
+
+
+def inlined(function: F) -> F:
+    """`jax.jit` that leaves no call behind: traced once for arguments of one kind, and its operations put in the place.
+
+    For elementary functions of many operations, which a program calls often: to trace them anew each time is a good
+    part of what making it takes.
+    """
+    jit: Any = jax.jit
+    return jit(function, inline=True)
 
 
 def traced_once(function: Callable, *args: Any) -> tuple[Callable, Any]:
@@ -63,6 +80,39 @@ def traced_once(function: Callable, *args: Any) -> tuple[Callable, Any]:
     return again, shapes
 
 
+class _Known:
+    """A function to compile, of one argument more: what the others read from outside, as it is when it is called."""
+
+    def __init__(self, function: Any, plain: Callable):
+        self._function, self._plain = function, plain
+        self._same: dict[Outside, Outside] = {}
+        functools.update_wrapper(self, plain)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        before = Outside((self._plain, args, kwargs))
+        key = self._same.get(before, before)
+        result = self._function(key, *args, **kwargs)
+        if before not in self._same:
+            # A function that counts how often it is traced changes what it reads, and is not another for that.
+            self._same[before] = self._same[Outside((self._plain, args, kwargs))] = key
+        return result
+
+    def lower(self, *args: Any) -> Any:
+        """Traced and lowered, as JAX has it; what was called before is not traced again."""
+        before = Outside((self._plain, args, {}))
+        return self._function.lower(self._same.get(before, before), *args)
+
+
+def _but_the_first(function: Callable) -> Callable:
+    """The function of all arguments but the first, which tells programs apart and is not used."""
+
+    def without(key: Any, *args: Any, **kwargs: Any) -> Any:
+        return function(*args, **kwargs)
+
+    without.__name__ = without.__qualname__ = getattr(function, "__name__", "without")  # profiles show it
+    return without
+
+
 class _Wide:
     """The two compiled functions, and what has turned out to need the narrow one."""
 
@@ -74,7 +124,7 @@ class _Wide:
         return self._either(lambda compiled: compiled(*args), args)
 
     def lower(self, *args: Any) -> Any:
-        """Traced and lowered, as JAX has it; what was called before is not traced again."""
+        """Of the one that it needs."""
         return self._either(lambda compiled: compiled.lower(*args), args)
 
     def _either(self, use: Callable[[Any], Any], args: tuple[Any, ...]) -> Any:
@@ -95,7 +145,7 @@ class _WidthError(Exception):
 def _unless_narrow(function: Callable) -> Callable:
     """The function; where it does what only narrow vectors can, `_WidthError` is raised as it is traced."""
 
-    def traced(*args: Any) -> Any:
+    def narrow_or_not(*args: Any) -> Any:
         program, result, static = eqx.filter_make_jaxpr(function)(*args)
         if any(name in _NARROW for name in _operations(program.jaxpr)):
             raise _WidthError
@@ -103,7 +153,8 @@ def _unless_narrow(function: Callable) -> Callable:
         dynamic = jax.tree.unflatten(jax.tree.structure(result), jaxpr_as_fun(program)(*arrays))
         return eqx.combine(dynamic, static)
 
-    return traced
+    narrow_or_not.__name__ = function.__name__
+    return narrow_or_not
 
 
 def _operations(program: Jaxpr) -> Iterator[str]:

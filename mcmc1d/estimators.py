@@ -111,8 +111,9 @@ class Histogram(Estimator):
                 np.issubdtype(count.dtype, np.integer) and int(count) >= 1,
                 f"Histogram: bins must be a whole number, 1 at least, or edges, not {bins}",
             )
-            self.edges = np.linspace(*domain, int(count) + 1)
+            self.edges = rising(np.linspace(*domain, int(count) + 1), "Histogram")
         else:
+            require(domain == (0.0, 1.0), "Histogram: the edges say what its domain is; give no domain beside them")
             self.edges = rising(bins, "Histogram")
         self.joint = joint
 
@@ -164,6 +165,9 @@ class Expectation(Estimator):
     """
 
     function: Any
+
+    def __check_init__(self):
+        require(callable(self.function), f"Expectation: give a function of x, not {self.function!r}")
 
     def init(self, target: Multiplexed, kernel: Kernel, dtype: Any) -> Any:
         x = jnp.broadcast_to(jnp.asarray(target.target.domain[0], dtype), np.shape(target.target.domain[0]))

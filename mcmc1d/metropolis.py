@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.checks import require, require_instance
+from mcmc1d.checks import require, require_instance, several
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.base import proposal_of
 from mcmc1d.numerics import select
@@ -164,7 +164,7 @@ class Cycle(Kernel):
 
     def __init__(self, kernels: Sequence[Kernel | Move]):
         """`kernels`: in their order within a step; a move is accepted by `Metropolis`."""
-        self.kernels = tuple(as_kernel(kernel, "Cycle: a kernel") for kernel in kernels)
+        self.kernels = tuple(as_kernel(kernel, "Cycle: a kernel") for kernel in several(kernels, "Cycle: its kernels"))
         require(len(self.kernels) > 0, "Cycle: give one kernel at least")
 
     @property

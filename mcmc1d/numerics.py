@@ -34,6 +34,14 @@ def parameter(value: ArrayLike) -> Real:
         raise ValueError(f"a parameter is a number, or an array of them, not {value!r}") from None
 
 
+def number(value: ArrayLike) -> Scalar:
+    """A parameter that is one number."""
+    found = parameter(value)
+    if np.ndim(found) != 0:
+        raise ValueError(f"a parameter is one number here, not {value!r}")
+    return found
+
+
 def is_concrete(*values: Any) -> bool:
     """Whether none of the values is traced, so that its numbers can be looked at."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))

@@ -31,7 +31,6 @@ def integrate(
     and their error estimates, both of shape (n, ...). Raises `ValueError` where that is out of reach.
     """
     edges = rising(edges, "integrate")
-    inner = [b for b in breaks if edges[0] < b < edges[-1]]
     with jax.enable_x64(True):
         values = by_chunks(quickly(eqx.filter_vmap(cast(function, jnp.float64))), 2**12)
 
@@ -42,7 +41,8 @@ def integrate(
             found = found.reshape(x.shape + found.shape[1:])
             return found * (b - a).reshape((1, -1) + (1,) * (found.ndim - 2))
 
-        cuts = np.unique(np.concatenate([edges, inner, around_the_sharpest(values, edges[0], edges[-1])]))
+        marks = [np.asarray(list(breaks), np.float64), around_the_sharpest(values, edges[0], edges[-1])]
+        cuts = _cuts(edges, np.concatenate(marks))
         a, b = cuts[:-1], cuts[1:]
         scale = np.abs(on_nodes(np.linspace(0, 1, 33)[1:-1, None], a, b)).mean(0).sum(0).max()
         require(bool(np.isfinite(scale)), "integrate: the function is not finite somewhere inside the bins")
@@ -78,6 +78,22 @@ def integrate(
 
 
 _SHARPEST = 32
+_ROUNDINGS = 16  # between two cuts that are one, met in two ways
+
+
+def _cuts(edges: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """The edges and the marks inside, rising, but for marks a few roundings from an edge or from another.
+
+    A piece so narrow would have nodes at its ends, where a function may be unbounded that is not inside.
+    """
+
+    def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.abs(a - b) > _ROUNDINGS * np.spacing(np.maximum(np.abs(a), np.abs(b)))
+
+    marks = np.unique(marks[(marks > edges[0]) & (marks < edges[-1])])
+    next_edge = np.searchsorted(edges, marks)
+    marks = marks[apart(marks, edges[next_edge - 1]) & apart(marks, edges[next_edge])]
+    return np.sort(np.concatenate([edges, marks[:1], marks[1:][apart(marks[1:], marks[:-1])]]))
 
 
 def around_the_sharpest(values: Callable[[np.ndarray], np.ndarray], lower: float, upper: float) -> np.ndarray:

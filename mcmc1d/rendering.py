@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require, require_key, require_whole
+from mcmc1d.compiling import compiled
 from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image
 from mcmc1d.importance import Product, Regions, require_importance
@@ -245,7 +246,7 @@ def _whole(number: int) -> Array:
     return jnp.asarray(number, jnp.int32)
 
 
-@eqx.filter_jit
+@compiled
 def _start(keys: Array, scene: Scene, values: Array, regions: Array, chains: int) -> tuple[State, Int[Array, " r"]]:
     """Exact draws for the chains of every replica, and what is at fault with each replica's."""
     dtype = jnp.zeros(()).dtype
@@ -258,7 +259,7 @@ def _start(keys: Array, scene: Scene, values: Array, regions: Array, chains: int
     return jax.vmap(one)(keys, values)
 
 
-@eqx.filter_jit
+@compiled
 def _expose(
     keys: Array,
     scene: Scene,
@@ -323,7 +324,7 @@ def _exact_starts(key: Key, target: Multiplexed, chains: int, dtype: Any) -> tup
     return state, jnp.where(finite, narrow, _NOT_FINITE).astype(jnp.int32)
 
 
-@eqx.filter_jit
+@compiled
 def _densities(keys: Array, scene: Scene, values: Array, regions: Array, count: int) -> Float[Array, "r n"]:
     """The density C_i(u) of the importance function at independent samples."""
     dtype = jnp.zeros(()).dtype

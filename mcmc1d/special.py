@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.special import ndtri
 
+from mcmc1d.compiling import inlined
 from mcmc1d.types import Scalar
 
 
@@ -77,6 +78,7 @@ def cos_turns(turns: Scalar) -> Scalar:
     return _sin_turns_float32(0.25 - r) if turns.dtype == jnp.float32 else sin_turns(0.25 - r)
 
 
+@inlined
 def _sin_turns_float32(r: Scalar) -> Scalar:
     z = r * r
     return r * (jnp.float32(0.25) - z) * _horner(_SIN_TURNS, z)
@@ -127,6 +129,11 @@ def normal_quantile(w: Scalar) -> Scalar:
     w = jnp.asarray(w)
     if w.dtype != jnp.float32:
         return ndtri(w)
+    return _normal_quantile_float32(w)
+
+
+@inlined
+def _normal_quantile_float32(w: Scalar) -> Scalar:
     area = 4 * w * (1 - w)
     t = -_log_float32(area)
     above, below = (_horner(coefficients, t) for coefficients in _NORMAL_QUANTILE)

@@ -166,6 +166,7 @@ def begin(
     """The index and u of every chain: of the start that was given, once it is known to be one, or exact draws."""
     if start is None:
         start = exact_start(key, target, chains, dtype)
+    require_instance(start, State, f"{who}: start")
     index, u, shape = np.asarray(start.index), np.asarray(start.u), (chains, target.dim_u)
     require(u.shape == shape, f"{who}: start.u must be of shape {shape}, not {u.shape}")
     require(index.shape == (chains,), f"{who}: start.index must be of shape {(chains,)}, not {index.shape}")

@@ -100,3 +100,14 @@ def test_midpoints():
     np.testing.assert_allclose(midpoints(np.array(0.0), np.array(2.0), 4), [0.25, 0.75, 1.25, 1.75])
     grid = midpoints(np.array([0.0, -1.0]), np.array([1.0, 1.0]), 4)
     np.testing.assert_allclose(grid, [[0.25, -0.5], [0.25, 0.5], [0.75, -0.5], [0.75, 0.5]])
+
+
+@pytest.mark.parametrize("mark", [np.nextafter(1.0, 0.0), 0.5, np.nextafter(0.5, 1.0)])
+def test_a_break_that_rounding_has_put_beside_an_edge_or_another_is_that_one(mark):
+    """A piece of one rounding would have nodes at its ends, at which this function is infinite."""
+
+    def function(x):
+        return jnp.where((x == 0.5) | (x == 1.0), jnp.inf, step(x))
+
+    value, _ = integrate(function, np.array([0.0, 1.0]), (1 / 3, np.nextafter(0.5, 0.0), mark))
+    np.testing.assert_allclose(value, [1 / 3 + 5 * 2 / 3], rtol=1e-12)

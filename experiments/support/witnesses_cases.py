@@ -142,10 +142,10 @@ def _jumps() -> dict[str, Case]:
         "full, aimed": "full-aimed",
     }
     right = rjmlt_fig3.RIGHT
-    figure = {
-        f"figure 3, {name}": Case(f"rjmlt.{claims[name]}", move, target, right[name])
-        for name, (target, move) in rjmlt_fig3.integrators(rjmlt_fig3.Config()).items()
-    }
+    figure = {}
+    for name in right:
+        target, move = rjmlt_fig3.integrator(rjmlt_fig3.Config(), name)
+        figure[f"figure 3, {name}"] = Case(f"rjmlt.{claims[name]}", move, target, right[name])
     inverses = rjmlt_inverses
 
     def chain(jump: Move) -> Move:

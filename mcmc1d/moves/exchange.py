@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from mcmc1d.checks import require, require_instance, require_positive, require_whole
+from mcmc1d.checks import require, require_instance, require_step, require_whole
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Move, Proposal, zero
 from mcmc1d.moves.primary import LargeStep
@@ -25,7 +25,7 @@ class CoordinateStep(Move):
     coordinate: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        require_positive(self, sigma=self.sigma)
+        require_step(self, sigma=self.sigma)
         if self.coordinate is not None:
             require_whole(self.coordinate, "CoordinateStep: coordinate", 0)
 

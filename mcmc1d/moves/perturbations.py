@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.special import ndtr
 
-from mcmc1d.checks import require_positive
+from mcmc1d.checks import require_positive, require_step
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Proposal, around_the_ends
 from mcmc1d.numerics import parameter
@@ -49,7 +49,7 @@ class UniformStep(EachAlone):
     width: Scalar = eqx.field(converter=parameter, default=0.2)
 
     def __check_init__(self):
-        require_positive(self, width=self.width)
+        require_step(self, width=self.width)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
         return around_the_ends(state, self.width * (w - 0.5), 1 - w)
@@ -64,7 +64,7 @@ class LinearStep(EachAlone):
     width: Scalar = eqx.field(converter=parameter, default=0.3)
 
     def __check_init__(self):
-        require_positive(self, width=self.width)
+        require_step(self, width=self.width)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
         up = w >= 0.5

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from mcmc1d.checks import require, require_positive
+from mcmc1d.checks import require, require_step
 from mcmc1d.examples import Examples
 from mcmc1d.moves.base import EachAlone, Proposal, around_the_ends, zero
 from mcmc1d.numerics import is_concrete, parameter
@@ -19,7 +19,7 @@ class SmallStep(EachAlone):
     sigma: Scalar = eqx.field(converter=parameter, default=0.05)
 
     def __check_init__(self):
-        require_positive(self, sigma=self.sigma)
+        require_step(self, sigma=self.sigma)
 
     def propose(self, target: Multiplexed, state: State, w: Float[Array, " m"]) -> Proposal:
         return around_the_ends(state, self.sigma * normal_quantile(w), 1 - w)
@@ -38,7 +38,7 @@ class ExponentialStep(EachAlone):
     largest: Scalar = eqx.field(converter=parameter, default=1 / 64)
 
     def __check_init__(self):
-        require_positive(self, smallest=self.smallest, largest=self.largest)
+        require_step(self, smallest=self.smallest, largest=self.largest)
         if is_concrete(self.smallest, self.largest):
             require(
                 bool(np.all(np.asarray(self.smallest) < self.largest)),

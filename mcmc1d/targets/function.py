@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require
+from mcmc1d.checks import require, several
 from mcmc1d.examples import Examples
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
@@ -37,7 +37,10 @@ class FromFunction(Target):
             bool(np.isfinite(lower) and np.isfinite(upper) and lower < upper),
             f"FromFunction: lower must be under upper, both finite, not {lower} and {upper}",
         )
-        self.f, self.lower, self.upper, self.kinks = f, float(lower), float(upper), tuple(map(float, breaks))
+        require(callable(f), f"FromFunction: f is a function of x, not {f!r}")
+        self.f, self.lower, self.upper = f, float(lower), float(upper)
+        self.kinks = tuple(map(float, several(breaks, "FromFunction: breaks")))
+        require(bool(np.isfinite(self.kinks).all()), f"FromFunction: breaks are places, not {self.kinks}")
 
     @property
     def breaks(self) -> tuple[float, ...]:
@@ -48,8 +51,9 @@ class FromFunction(Target):
         return self.lower, self.upper
 
     def log_f(self, x: Scalar) -> Scalar:
-        inside = (x >= self.lower) & (x <= self.upper)
-        return jnp.where(inside, jnp.log(self.f(x)), -jnp.inf)
+        inside, f = (x >= self.lower) & (x <= self.upper), self.f(x)
+        require(not jnp.iscomplexobj(f), "FromFunction: f returned a complex number; give its absolute value or square")
+        return jnp.where(inside, jnp.log(f), -jnp.inf)
 
     def complaint(self, x: ArrayLike) -> str:
         f = float(self.f(jnp.asarray(x)))

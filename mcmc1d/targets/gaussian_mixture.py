@@ -29,7 +29,7 @@ class GaussianMixture(Target):
     def __check_init__(self):
         shapes = {np.shape(v) for v in (self.means, self.sigmas, self.weights)}
         require(
-            len(shapes) == 1 and len(next(iter(shapes))) == 1,
+            len(shapes) == 1 and len(shape := next(iter(shapes))) == 1 and shape[0] > 0,
             f"GaussianMixture: means, sigmas and weights must be lists of one length, not of shapes {sorted(shapes)}",
         )
         require_positive(self, sigmas=self.sigmas, weights=self.weights)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from mcmc1d.checks import density_table, require, require_box, require_positive, rising
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import parameter
+from mcmc1d.numerics import number, parameter
 from mcmc1d.quadrature import Outline
 from mcmc1d.targets.base import Edges, Target
 from mcmc1d.types import Corners, Float, Real, Scalar
@@ -61,9 +61,9 @@ class Ring(Target):
     """
 
     centre: Float[Real, " 2"] = eqx.field(converter=parameter, default=(0.5, 0.5))
-    radius: Scalar = eqx.field(converter=parameter, default=0.3)
-    width: Scalar = eqx.field(converter=parameter, default=0.04)
-    tilt: Scalar = eqx.field(converter=parameter, default=0.8)
+    radius: Scalar = eqx.field(converter=number, default=0.3)
+    width: Scalar = eqx.field(converter=number, default=0.04)
+    tilt: Scalar = eqx.field(converter=number, default=0.8)
     lower: Float[Real, " 2"] = eqx.field(converter=parameter, default=(0.0, 0.0))
     upper: Float[Real, " 2"] = eqx.field(converter=parameter, default=(1.0, 1.0))
 
@@ -87,8 +87,8 @@ class Ring(Target):
 class Banana(Target):
     """x0 ~ N(0, 1) and x1 ~ N(bend x0^2, noise^2), cut off by a box: curved, and skewed in x1."""
 
-    bend: Scalar = eqx.field(converter=parameter, default=0.5)
-    noise: Scalar = eqx.field(converter=parameter, default=0.4)
+    bend: Scalar = eqx.field(converter=number, default=0.5)
+    noise: Scalar = eqx.field(converter=number, default=0.4)
     lower: Float[Real, " 2"] = eqx.field(converter=parameter, default=(-3.0, -1.5))
     upper: Float[Real, " 2"] = eqx.field(converter=parameter, default=(3.0, 5.0))
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mcmc1d.checks import require, require_positive, rising
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, parameter
+from mcmc1d.numerics import is_concrete, number
 from mcmc1d.special import sin_turns
 from mcmc1d.targets.base import Target
 from mcmc1d.types import Scalar
@@ -15,10 +15,10 @@ from mcmc1d.types import Scalar
 class Sinusoid(Target):
     """f(x) = scale (1 + amplitude sin(2 pi (frequency x + phase))) on [0, 1], the phase in turns."""
 
-    amplitude: Scalar = eqx.field(converter=parameter, default=0.9)
-    frequency: Scalar = eqx.field(converter=parameter, default=2.0)
-    phase: Scalar = eqx.field(converter=parameter, default=0.0)
-    scale: Scalar = eqx.field(converter=parameter, default=1.0)
+    amplitude: Scalar = eqx.field(converter=number, default=0.9)
+    frequency: Scalar = eqx.field(converter=number, default=2.0)
+    phase: Scalar = eqx.field(converter=number, default=0.0)
+    scale: Scalar = eqx.field(converter=number, default=1.0)
 
     def __check_init__(self):
         require_positive(self, scale=self.scale, frequency=self.frequency)

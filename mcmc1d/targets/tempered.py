@@ -8,7 +8,7 @@ import numpy as np
 
 from mcmc1d.checks import require, require_instance
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, parameter
+from mcmc1d.numerics import is_concrete, number
 from mcmc1d.quadrature import Outline
 from mcmc1d.special import log_sum
 from mcmc1d.targets.base import Edges, Target
@@ -19,8 +19,8 @@ class Tempered(Target):
     """exp(log_scale) f(x)^beta: f at the inverse temperature beta, 0 where f is 0 (for beta = 0 too)."""
 
     target: Target
-    beta: Scalar = eqx.field(converter=parameter)
-    log_scale: Scalar = eqx.field(converter=parameter, default=0.0)
+    beta: Scalar = eqx.field(converter=number)
+    log_scale: Scalar = eqx.field(converter=number, default=0.0)
 
     def __check_init__(self):
         require_instance(self.target, Target, "Tempered: the target")

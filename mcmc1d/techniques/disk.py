@@ -8,7 +8,7 @@ import numpy as np
 
 from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import below_one, is_concrete, limit, parameter, wrap
+from mcmc1d.numerics import below_one, is_concrete, limit, number, parameter, wrap
 from mcmc1d.quadrature import Outline
 from mcmc1d.special import cos_turns, sin_turns
 from mcmc1d.techniques.base import Forward, Inverse
@@ -67,7 +67,7 @@ class UniformDisk(OntoDisk):
     """Uniform on a disk: a subclass is a map of the unit square onto the unit disk, of determinant pi everywhere."""
 
     centre: Float[Real, " 2"] = eqx.field(converter=parameter, default=(0.0, 0.0))
-    radius: Scalar = eqx.field(converter=parameter, default=1.0)
+    radius: Scalar = eqx.field(converter=number, default=1.0)
 
     @property
     def circle(self) -> tuple[Float[Real, "..."], Float[Real, "..."]]:
@@ -140,9 +140,9 @@ class ProjectedCap(OntoDisk):
     it is constant; the cosine is what projection does to an area.
     """
 
-    cosine: Scalar = eqx.field(converter=parameter, default=0.5)
+    cosine: Scalar = eqx.field(converter=number, default=0.5)
     centre: Float[Real, " 2"] = eqx.field(converter=parameter, default=(0.0, 0.0))
-    radius: Scalar = eqx.field(converter=parameter, default=1.0)
+    radius: Scalar = eqx.field(converter=number, default=1.0)
 
     @property
     def circle(self) -> tuple[Float[Real, "..."], Float[Real, "..."]]:

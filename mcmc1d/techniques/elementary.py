@@ -6,7 +6,7 @@ import numpy as np
 
 from mcmc1d.checks import require
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, linear_cdf, linear_quantile, parameter
+from mcmc1d.numerics import is_concrete, linear_cdf, linear_quantile, number
 from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Scalar
 
@@ -33,7 +33,7 @@ class Tent(Inversion):
     At u = 0 and u -> 1 the density vanishes and dx/du is infinite.
     """
 
-    mode: Scalar = eqx.field(converter=parameter, default=0.5)
+    mode: Scalar = eqx.field(converter=number, default=0.5)
 
     def __check_init__(self):
         if is_concrete(self.mode):
@@ -66,7 +66,7 @@ class Tent(Inversion):
 class Ramp(Inversion):
     """The linear density 1 + slope (x - 1/2) on [0, 1], for a slope in [-2, 2]; slope 2 is the density 2x."""
 
-    slope: Scalar = eqx.field(converter=parameter, default=2.0)
+    slope: Scalar = eqx.field(converter=number, default=2.0)
 
     def __check_init__(self):
         if is_concrete(self.slope):

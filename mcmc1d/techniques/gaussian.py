@@ -6,7 +6,7 @@ import numpy as np
 
 from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import below_one, is_concrete, parameter
+from mcmc1d.numerics import below_one, is_concrete, number, parameter
 from mcmc1d.techniques.base import Forward, Inverse, Technique
 from mcmc1d.types import Array, Corners, Float, Real, Scalar
 
@@ -21,7 +21,7 @@ class BoxMuller(Technique):
     """
 
     mean: Float[Real, " 2"] = eqx.field(converter=parameter, default=(0.0, 0.0))
-    sigma: Scalar = eqx.field(converter=parameter, default=1.0)
+    sigma: Scalar = eqx.field(converter=number, default=1.0)
 
     def __check_init__(self):
         require_positive(self, sigma=self.sigma)

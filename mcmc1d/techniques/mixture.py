@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mcmc1d.checks import require, require_instance
+from mcmc1d.checks import require, require_instance, several
 from mcmc1d.examples import Examples
 from mcmc1d.numerics import choose, cumulative, is_concrete, parameter, pick, unchoose
 from mcmc1d.special import log_sum
@@ -28,7 +28,7 @@ class Mixture(Technique):
 
     def __init__(self, lobes: Sequence[Technique], weights: ArrayLike):
         """`lobes`: techniques with one shape of x; `weights`: their probabilities alpha, which sum to one."""
-        self.lobes = tuple(lobes)
+        self.lobes = several(lobes, "Mixture: the lobes")
         for lobe in self.lobes:
             require_instance(lobe, Technique, "Mixture: a lobe")
         self.weights = parameter(weights)

@@ -6,8 +6,9 @@ import numpy as np
 from jax.lax import stop_gradient
 
 from mcmc1d.checks import require
+from mcmc1d.compiling import inlined
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, limit, parameter
+from mcmc1d.numerics import is_concrete, limit, number
 from mcmc1d.special import sin_turns
 from mcmc1d.techniques.base import Inversion, density_within, within
 from mcmc1d.types import Scalar
@@ -23,9 +24,9 @@ class RaisedSinusoid(Inversion):
     and in the parameters by the implicit function theorem.
     """
 
-    amplitude: Scalar = eqx.field(converter=parameter, default=0.9)
+    amplitude: Scalar = eqx.field(converter=number, default=0.9)
     frequency: int = eqx.field(static=True, default=1)
-    phase: Scalar = eqx.field(converter=parameter, default=0.0)
+    phase: Scalar = eqx.field(converter=number, default=0.0)
 
     def __check_init__(self):
         require(
@@ -88,6 +89,7 @@ class RaisedSinusoid(Inversion):
         return (1 - e) + 2 * e * half * half
 
 
+@inlined
 def _mean_anomaly(e: Scalar, y: Scalar) -> Scalar:
     """(E - e sin E) / 2 pi at E = 2 pi y, exact to a few ulps for e = 1 and y -> 0 as well; |y| <= 1/2."""
     angle = 2 * jnp.pi * y
@@ -100,6 +102,7 @@ def _mean_anomaly(e: Scalar, y: Scalar) -> Scalar:
     return (1 - e) * y + e * excess / (2 * jnp.pi)
 
 
+@inlined
 def _solve_kepler(e: Scalar, mean: Scalar) -> Scalar:
     """The y in [-1/2, 1/2] with `_mean_anomaly(e, y) == mean`.
 

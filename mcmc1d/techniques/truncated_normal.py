@@ -7,7 +7,7 @@ from jax.scipy.special import ndtr, ndtri
 
 from mcmc1d.checks import require, require_positive
 from mcmc1d.examples import Examples
-from mcmc1d.numerics import is_concrete, limit, parameter
+from mcmc1d.numerics import is_concrete, limit, number
 from mcmc1d.techniques.base import Inversion, within
 from mcmc1d.types import Scalar
 
@@ -19,8 +19,8 @@ class TruncatedNormal(Inversion):
     accuracy. Where sigma is large against the interval, the rounding error in u grows as sigma.
     """
 
-    mean: Scalar = eqx.field(converter=parameter)
-    sigma: Scalar = eqx.field(converter=parameter)
+    mean: Scalar = eqx.field(converter=number)
+    sigma: Scalar = eqx.field(converter=number)
 
     def __check_init__(self):
         require_positive(self, sigma=self.sigma)

@@ -127,21 +127,28 @@ def require_alike(
     mend = "Mend the sampler, the cdf, bins or masses"
     if law.auxiliary:  # those of a chain's target, which a user has not written
         mend = "A technique's log_prob, or the target's bin_masses, is wrong: check_technique tells which"
-    if all(np.all(values == np.round(values)) for values in coordinates(draws).values()):
+    coarse = _coarse(draws)
+    if not coarse and all(np.all(values == np.round(values)) for values in coordinates(draws).values()):
         mend += "; the draws are whole numbers, whose law is given as a verify.Discrete"
     raise LawError(
         f"{law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} from {tally.n} "
-        f"draws): {'; '.join(test.worst(tally.counts[worst], 3))}. {mend}{_coarse(draws)}"
+        f"draws): {'; '.join(test.worst(tally.counts[worst], 3))}. {mend}{coarse or _atoms(draws)}"
     )
 
 
 def _coarse(draws: Position) -> str:
-    """A word on draws that are the same number, or so far from zero that their floats are coarse."""
+    """A word on draws so far from zero that their floats are coarse, or all the same."""
     for name, values in coordinates(draws).items():
-        if values.dtype == np.float32 and varies(values):
+        if values.dtype == np.float32 and not np.all(values == 0):
             step = float(np.spacing(np.abs(values).max()))
             if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):
                 return f"; in float32 {name} has steps of {step:.2g}: verify it with jax.enable_x64(True)"
+    return ""
+
+
+def _atoms(draws: Position) -> str:
+    """A word on draws that are the same number."""
+    for name, values in coordinates(draws).items():
         numbers, counts = np.unique(values, return_counts=True)
         if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and varies(values):
             return (

@@ -28,6 +28,7 @@ _NET = 2**18  # points of a box, where the integral of a density of several dime
 _NETS = 8  # scrambles of it, where cubature is not to be believed
 _UNTOLD = 1e-2  # the largest error of an integral that passes, unless by nets
 _BEYOND = (1e-3, 0.1, 1.0, 100.0)  # widths of the support; nearer, rounding may tell in or out
+_ROUNDINGS = 8  # of the corner, at least
 
 
 def outside(maps: Maps, image: np.ndarray, seed: int) -> Check:
@@ -109,9 +110,10 @@ def _beyond(maps: Maps, image: np.ndarray) -> np.ndarray:
     beyond = [np.zeros((0, image.shape[1]), maps.dtype)]
     for j, (corner, sign) in itertools.product(range(maps.d), ((lower, -1), (upper, 1))):
         if np.isfinite(corner[j]):
+            rounding = _ROUNDINGS * np.spacing(np.abs(corner[j]).astype(maps.dtype))
             for step in _BEYOND:
                 moved = image.copy()
-                moved[:, j] = corner[j] + sign * step * scale[j]
+                moved[:, j] = corner[j] + sign * max(step * scale[j], rounding)
                 beyond.append(moved)
     return np.concatenate(beyond)
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from mcmc1d.checks import require_instance, require_whole
+from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.numerics import cast
 from mcmc1d.techniques import Family, Technique
 from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, steepness
@@ -47,6 +47,7 @@ def check_technique(
     checks = []
     with jax.enable_x64(True):
         for dtype in map(np.dtype, dtypes):
+            require(dtype in (np.float32, np.float64), f"check_technique: dtypes are float32 and float64, not {dtype}")
             found = _Contract(cast(technique, dtype), dtype, seed).checks(points)
             checks += [replace(check, equation=f"{dtype}: {check.equation}") for check in found]
         checks.append(integral(technique))

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.special import ndtr
-from scipy.stats import beta, zipf
+from scipy.stats import beta, gamma, zipf
 
 from mcmc1d import Multiplexed
 from mcmc1d.metropolis import Deposits, Info, Kernel, Step
 from mcmc1d.state import State
 from mcmc1d.targets import Tabulated
 from mcmc1d.techniques import Uniform
-from mcmc1d.verify import Discrete, HostKernel, JaxKernel, Law, Verdict, forgetting, step_operator, verify
+from mcmc1d.verify import Discrete, HostKernel, JaxKernel, Law, LawError, Verdict, forgetting, step_operator, verify
 from mcmc1d.verify.ends import interval
 from mcmc1d.verify.kernels import HostSubject
 from mcmc1d.verify.law import multiplexed_law
@@ -174,6 +174,12 @@ def test_jax_may_have_another_generator_by_default():
         assert np.array_equal(jax.random.key_data(key_of((0,))), jax.random.key_data(key))
         assert 0 < flux(0, jnp.full(1, 0.5), jnp.zeros(2, jnp.uint32)).ends[0].u[0] < 1
         assert multiplexed_law(target).sample(np.random.default_rng(0), 16)["x"].shape == (16,)
+
+
+def test_draws_that_float32_has_made_whole_numbers_are_not_taken_for_counts():
+    with pytest.raises(LawError, match=r"in float32 x has steps of 0\.062: verify it with") as error:
+        verify(lambda key, x: x, gamma(2.0, loc=1e6, scale=1e-3), **SIZE)
+    assert "whole numbers" not in str(error.value)
 
 
 @pytest.mark.parametrize(("power", "verdict"), [(2.0, Verdict.PASS), (2.1, Verdict.FAIL)])

@@ -322,3 +322,29 @@ def test_a_map_that_autodiff_can_not_see_through_is_told_so():
     report = check_technique(Bisection())
     assert not report
     assert "autodiff finds no gradient through a bisection" in str(report)
+
+
+class Narrow(Inversion):
+    """Uniform on a few float32 numbers around 1/2: what lies a thousandth of its width outside rounds onto its end."""
+
+    width: float = 1e-6
+    bounded: bool = True
+
+    @property
+    def support(self):
+        return 0.5 - self.width / 2, 0.5 + self.width / 2
+
+    def quantile(self, u):
+        return 0.5 + self.width * (u - 0.5)
+
+    def cdf(self, x):
+        return below_one((x - 0.5) / self.width + 0.5)
+
+    def log_prob(self, x):
+        log_p = 0 * x - jnp.log(self.width)
+        return within(x, log_p, *self.support) if self.bounded else log_p
+
+
+@pytest.mark.parametrize("bounded", [True, False])
+def test_outside_of_a_support_is_no_rounding_of_its_ends(bounded):
+    assert bool(check_technique(Narrow(bounded=bounded), points=256)) == bounded
