@@ -1,6 +1,7 @@
 """Functions under jit, with compiler options of their own: never global ones."""
 
 import functools
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
@@ -13,7 +14,6 @@ from mcmc1d.outside import Outside
 
 F = TypeVar("F", bound=Callable)
 
-_WIDE = {"xla_cpu_prefer_vector_width": 512}
 _NARROW = ("atan",)
 """What XLA's CPU compiler gets wrong for vectors of 512 bits (jaxlib 0.10.2): it hands sixteen floats to its own
 arctangent in a register, which looks for them in memory. The results are random. All of `jax.lax` was tried."""
@@ -30,7 +30,7 @@ def jit_with(**options: Any) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         jit: Any = eqx.filter_jit
-        return _Known(jit(_but_the_first(function), compiler_options=options), function)  # pyright: ignore[reportReturnType]
+        return _Known(lambda program: jit(program, compiler_options=options), function)  # pyright: ignore[reportReturnType]
 
     return decorate
 
@@ -53,8 +53,7 @@ def wide_jit(function: F) -> F:
     XLA's default is half that width; without AVX-512, and on a GPU, it makes no difference. A program with an
     operation that XLA gets wrong at that width is compiled with the default.
     """
-    wide: Any = eqx.filter_jit(_but_the_first(_unless_narrow(function)), compiler_options=_WIDE)
-    return _Known(_Wide(wide, eqx.filter_jit(_but_the_first(function))), function)  # pyright: ignore[reportReturnType]
+    return _Known(_Wide, function)  # pyright: ignore[reportReturnType]
 
 
 def inlined(function: F) -> F:
@@ -83,41 +82,43 @@ def traced_once(function: Callable, *args: Any) -> tuple[Callable, Any]:
 class _Known:
     """A function to compile, of one argument more: what the others read from outside, as it is when it is called."""
 
-    def __init__(self, function: Any, plain: Callable):
-        self._function, self._plain = function, plain
+    def __init__(self, compile: Callable[[Callable], Any], function: Callable):
+        self._function, self._traced = function, threading.local()
         self._same: dict[Outside, Outside] = {}
-        functools.update_wrapper(self, plain)
+
+        def program(key: Outside, *args: Any, **kwargs: Any) -> Any:
+            self._traced.now = True
+            return function(*args, **kwargs)
+
+        program.__name__ = program.__qualname__ = getattr(function, "__name__", "program")  # profiles show it
+        self._program = compile(program)
+        functools.update_wrapper(self, function)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        before = Outside((self._plain, args, kwargs))
-        key = self._same.get(before, before)
-        result = self._function(key, *args, **kwargs)
-        if before not in self._same:
-            # A function that counts how often it is traced changes what it reads, and is not another for that.
-            self._same[before] = self._same[Outside((self._plain, args, kwargs))] = key
-        return result
+        return self._at(self._program, *args, **kwargs)
 
     def lower(self, *args: Any) -> Any:
         """Traced and lowered, as JAX has it; what was called before is not traced again."""
-        before = Outside((self._plain, args, {}))
-        return self._function.lower(self._same.get(before, before), *args)
+        return self._at(self._program.lower, *args)
 
-
-def _but_the_first(function: Callable) -> Callable:
-    """The function of all arguments but the first, which tells programs apart and is not used."""
-
-    def without(key: Any, *args: Any, **kwargs: Any) -> Any:
-        return function(*args, **kwargs)
-
-    without.__name__ = without.__qualname__ = getattr(function, "__name__", "without")  # profiles show it
-    return without
+    def _at(self, use: Callable, *args: Any, **kwargs: Any) -> Any:
+        here = Outside((self._function, args, kwargs))
+        key, self._traced.now = self._same.get(here, here), False
+        result = use(key, *args, **kwargs)
+        if self._traced.now:
+            after = Outside((self._function, args, kwargs))
+            if after != here:  # a function that counts how often it is traced is not another for that
+                self._same[after] = key
+        return result
 
 
 class _Wide:
     """The two compiled functions, and what has turned out to need the narrow one."""
 
-    def __init__(self, wide: Any, narrow: Any):
-        self._wide, self._narrow = wide, narrow
+    def __init__(self, function: Callable):
+        jit: Any = eqx.filter_jit
+        self._wide = jit(_unless_narrow(function), compiler_options={"xla_cpu_prefer_vector_width": 512})
+        self._narrow = jit(function)
         self._known: set[Any] = set()
 
     def __call__(self, *args: Any) -> Any:
