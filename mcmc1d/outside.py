@@ -21,6 +21,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
 _SETTLED = tuple(
     f"{folder}/"
@@ -70,7 +71,7 @@ class _Reader:
         if isinstance(it, _VALUES):
             if outside:
                 yield _content(it)
-        elif not isinstance(it, jax.core.Tracer | types.ModuleType) and self._first(it, outside):
+        elif not isinstance(it, Tracer | types.ModuleType) and self._first(it, outside):
             yield from self._parts(it, outside)
 
     def _first(self, it: Any, outside: bool) -> bool:
@@ -103,7 +104,7 @@ class _Reader:
 def _content(it: Any) -> Any:
     """A number, a text or an array by its value; an array of JAX never changes."""
     if isinstance(it, jax.Array):
-        return None if isinstance(it, jax.core.Tracer) else _Same(it)
+        return None if isinstance(it, Tracer) else _Same(it)
     if isinstance(it, np.ndarray):
         return it.shape, it.dtype.str, hashlib.blake2b(np.ascontiguousarray(it).data, digest_size=16).digest()
     return type(it), repr(it)

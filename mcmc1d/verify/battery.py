@@ -281,7 +281,7 @@ class TwoSample(Test):
         order = np.argsort(-np.abs(z))[:most]
         if not self.ordered:
             return [f"{self.name}, cell {k}: {z[k]:+.0f} s.d." for k in order]
-        return [f"{self.name} in {interval(ends[k], ends[k + 1])}: {z[k]:+.0f} s.d." for k in order]
+        return [f"{self.name} in {interval(float(ends[k]), float(ends[k + 1]))}: {z[k]:+.0f} s.d." for k in order]
 
 
 def coordinates(positions: Position) -> dict[str, np.ndarray]:
