@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
+from numbers import Real
 from typing import Any
 
 import equinox as eqx
@@ -13,11 +14,12 @@ import numpy as np
 from mcmc1d import parallel
 from mcmc1d.checkpoint import Place, Saving, describe
 from mcmc1d.checks import require, require_dtype, require_key, require_whole
-from mcmc1d.compiling import compiled, wide_jit
+from mcmc1d.compiling import wide_jit
 from mcmc1d.estimators import Estimator, added, empty, require_estimators
 from mcmc1d.metropolis import Kernel, as_kernel, step_batch
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.random import Source, source
 from mcmc1d.starts import begin, require_defined, require_multiplexed
 from mcmc1d.state import Multiplexed, State
@@ -118,8 +120,9 @@ def run(
     Raises `ValueError` where the kernel or an estimator does not fit the target, where a chain met a NaN of it, and
     where the checkpoint is damaged, of another run (it says what differs), or open in one.
     """
+    forget_what_has_changed(kernel, target, estimators)
     kernel, numbers = as_kernel(kernel, "run: the kernel"), source(random)
-    require(isinstance(every, int | float), f"run: every is a number of seconds, not {every!r}")
+    require(isinstance(every, Real), f"run: every is a number of seconds, not {every!r}")
     require_multiplexed(target, "run")
     dtype = require_dtype(dtype, "run")
     require_key(key, "run")
@@ -153,8 +156,8 @@ def run(
         """All that the bits of the result depend on; what a user's functions do shows in the program."""
         sizes = {"steps": steps, "chains": chains, "blocks": blocks, "dtype": str(dtype), "random": random}
         parts = {"key": key, "start": (index, u), "kernel": kernel, "target": target, "estimators": asked}
-        loop: Any = _advance
-        program = loop.lower(*arguments(0, None, fresh[0], 0)).as_text()
+        compiled: Any = _advance
+        program = compiled.lower(*arguments(0, None, fresh[0], 0)).as_text()
         parts["program"] = f"{per_look} {jax.devices()[0].device_kind} {program}"
         versions = {name: version(name) for name in ("jax", "jaxlib")}
         return sizes | versions | {name: describe(part) for name, part in parts.items()}
@@ -185,6 +188,7 @@ def trace(
 
     Raises `ValueError` where the kernel does not fit the target, and where a chain met a NaN of it.
     """
+    forget_what_has_changed(kernel, target)
     kernel, numbers = as_kernel(kernel, "trace: the kernel"), source(random)
     require_multiplexed(target, "trace")
     dtype = require_dtype(dtype, "trace")
@@ -234,7 +238,7 @@ def _advance(
     return State(state.index, state.u.T), sums, jnp.isposinf(state.seen.log_c)
 
 
-@compiled
+@eqx.filter_jit
 def _record(
     key: Key, numbers: Source, kernel: Kernel, target: Multiplexed, start: State, steps: int
 ) -> tuple[Array, Array, State, Bool[Array, " n"]]:

@@ -72,9 +72,10 @@ def require_whole(value: Any, who: str, least: int = 1) -> int:
 def several(values: Any, who: str) -> tuple[Any, ...]:
     """The values as a tuple, or `ValueError` for one alone."""
     try:
-        return tuple(values)
+        each = iter(values)
     except TypeError:
         raise ValueError(f"{who} are several: give a list of them, [...], not {values!r}") from None
+    return tuple(each)
 
 
 def require_dtype(dtype: Any, who: str) -> Any:

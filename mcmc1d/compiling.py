@@ -1,7 +1,6 @@
 """Functions under jit, with compiler options of their own: never global ones."""
 
 import functools
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
@@ -10,7 +9,6 @@ import jax
 from jax.extend.core import Jaxpr, jaxpr_as_fun, jaxprs_in_params
 
 from mcmc1d.constants import keep_precisions_apart
-from mcmc1d.outside import Outside
 
 F = TypeVar("F", bound=Callable)
 
@@ -23,20 +21,15 @@ keep_precisions_apart()  # before anything is traced
 
 
 def jit_with(**options: Any) -> Callable[[F], F]:
-    """`equinox.filter_jit` with compiler options: arrays are traced, all else is static.
-
-    What the arguments' functions read from outside is static too: where a global has changed, there is a new program.
-    """
+    """`equinox.filter_jit` with compiler options: arrays are traced, all else is static."""
 
     def decorate(function: F) -> F:
         jit: Any = eqx.filter_jit
-        return _Known(lambda program: jit(program, compiler_options=options), function)  # pyright: ignore[reportReturnType]
+        return jit(function, compiler_options=options)
 
     return decorate
 
 
-compiled = jit_with()
-"""With XLA's defaults."""
 quickly = jit_with(
     xla_backend_optimization_level=1, xla_llvm_disable_expensive_passes=True, xla_cpu_use_fusion_emitters=False
 )
@@ -48,12 +41,13 @@ Level 0 compiles no faster, and wrongly: jaxlib 0.10.2 then returned another num
 
 
 def wide_jit(function: F) -> F:
-    """`compiled` for a CPU's widest vectors, which makes a chain's step up to 1.7 times as fast with AVX-512.
+    """`equinox.filter_jit` for a CPU's widest vectors, which makes a chain's step up to 1.7 times as fast with AVX-512.
 
     XLA's default is half that width; without AVX-512, and on a GPU, it makes no difference. A program with an
     operation that XLA gets wrong at that width is compiled with the default.
     """
-    return _Known(_Wide, function)  # pyright: ignore[reportReturnType]
+    wide: Any = jit_with(xla_cpu_prefer_vector_width=512)(functools.wraps(function)(_unless_narrow(function)))
+    return _Wide(wide, eqx.filter_jit(function))  # pyright: ignore[reportReturnType]
 
 
 def inlined(function: F) -> F:
@@ -79,53 +73,18 @@ def traced_once(function: Callable, *args: Any) -> tuple[Callable, Any]:
     return again, shapes
 
 
-class _Known:
-    """A function to compile, of one argument more: what the others read from outside, as it is when it is called."""
-
-    def __init__(self, compile: Callable[[Callable], Any], function: Callable):
-        self._function, self._traced = function, threading.local()
-        self._same: dict[Outside, Outside] = {}
-
-        def program(key: Outside, *args: Any, **kwargs: Any) -> Any:
-            self._traced.now = True
-            return function(*args, **kwargs)
-
-        program.__name__ = program.__qualname__ = getattr(function, "__name__", "program")  # profiles show it
-        self._program = compile(program)
-        functools.update_wrapper(self, function)
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        return self._at(self._program, *args, **kwargs)
-
-    def lower(self, *args: Any) -> Any:
-        """Traced and lowered, as JAX has it; what was called before is not traced again."""
-        return self._at(self._program.lower, *args)
-
-    def _at(self, use: Callable, *args: Any, **kwargs: Any) -> Any:
-        here = Outside((self._function, args, kwargs))
-        key, self._traced.now = self._same.get(here, here), False
-        result = use(key, *args, **kwargs)
-        if self._traced.now:
-            after = Outside((self._function, args, kwargs))
-            if after != here:  # a function that counts how often it is traced is not another for that
-                self._same[after] = key
-        return result
-
-
 class _Wide:
     """The two compiled functions, and what has turned out to need the narrow one."""
 
-    def __init__(self, function: Callable):
-        jit: Any = eqx.filter_jit
-        self._wide = jit(_unless_narrow(function), compiler_options={"xla_cpu_prefer_vector_width": 512})
-        self._narrow = jit(function)
+    def __init__(self, wide: Any, narrow: Any):
+        self._wide, self._narrow = wide, narrow
         self._known: set[Any] = set()
 
     def __call__(self, *args: Any) -> Any:
         return self._either(lambda compiled: compiled(*args), args)
 
     def lower(self, *args: Any) -> Any:
-        """Of the one that it needs."""
+        """Traced and lowered, as JAX has it; what was called before is not traced again."""
         return self._either(lambda compiled: compiled.lower(*args), args)
 
     def _either(self, use: Callable[[Any], Any], args: tuple[Any, ...]) -> Any:
@@ -146,7 +105,7 @@ class _WidthError(Exception):
 def _unless_narrow(function: Callable) -> Callable:
     """The function; where it does what only narrow vectors can, `_WidthError` is raised as it is traced."""
 
-    def narrow_or_not(*args: Any) -> Any:
+    def traced(*args: Any) -> Any:
         program, result, static = eqx.filter_make_jaxpr(function)(*args)
         if any(name in _NARROW for name in _operations(program.jaxpr)):
             raise _WidthError
@@ -154,8 +113,7 @@ def _unless_narrow(function: Callable) -> Callable:
         dynamic = jax.tree.unflatten(jax.tree.structure(result), jaxpr_as_fun(program)(*arrays))
         return eqx.combine(dynamic, static)
 
-    narrow_or_not.__name__ = function.__name__
-    return narrow_or_not
+    return traced
 
 
 def _operations(program: Jaxpr) -> Iterator[str]:

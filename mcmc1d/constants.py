@@ -26,9 +26,9 @@ def keep_precisions_apart() -> None:
         def constant(array: np.ndarray) -> Any:
             dtypes.check_valid_dtype(array.dtype)
             number, dtype = id(array), dtypes.canonicalize_dtype(array.dtype)
-            made, now = _made.get((number, dtype)), np.array(array, dtype)  # of its own: the array may be changed
-            if made is None or not np.array_equal(np.asarray(made), now, equal_nan=now.dtype.kind in "fc"):
-                made = _made[number, dtype] = literals.TypedNdArray(now)
+            made, now = _made.get((number, dtype)), np.asarray(array, dtype)
+            if made is None or np.asarray(made).tobytes() != now.tobytes():  # the array has been changed since
+                made = _made[number, dtype] = literals.TypedNdArray(np.array(now))
                 if number not in _watched:
                     weakref.finalize(array, _forget, number).atexit = False
                 _watched.setdefault(number, set()).add(dtype)

@@ -102,8 +102,8 @@ class Histogram(Estimator):
     joint: bool = eqx.field(static=True)
     regular: bool = eqx.field(static=True)
 
-    def __init__(self, bins: int | ArrayLike = 100, *, joint: bool = False, domain: tuple[float, float] = (0.0, 1.0)):
-        """`bins`: how many equal ones over the `domain`, or their rising edges; `joint`: by technique as well."""
+    def __init__(self, bins: int | ArrayLike = 100, *, joint: bool = False, domain: tuple[float, float] | None = None):
+        """`bins`: how many equal ones over the `domain` ([0, 1]), or their edges; `joint`: by technique as well."""
         self.regular = np.ndim(bins) == 0
         if self.regular:
             count = np.asarray(bins)  # a NumPy integer will do as well
@@ -111,9 +111,9 @@ class Histogram(Estimator):
                 np.issubdtype(count.dtype, np.integer) and int(count) >= 1,
                 f"Histogram: bins must be a whole number, 1 at least, or edges, not {bins}",
             )
-            self.edges = rising(np.linspace(*domain, int(count) + 1), "Histogram")
+            self.edges = rising(np.linspace(*((0, 1) if domain is None else domain), int(count) + 1), "Histogram")
         else:
-            require(domain == (0.0, 1.0), "Histogram: the edges say what its domain is; give no domain beside them")
+            require(domain is None, "Histogram: the edges say what its domain is; give no domain beside them")
             self.edges = rising(bins, "Histogram")
         self.joint = joint
 

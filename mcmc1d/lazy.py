@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require, require_key, require_positive, require_whole
-from mcmc1d.compiling import compiled
 from mcmc1d.metropolis import acceptance
 from mcmc1d.moves import Proposal
 from mcmc1d.numerics import is_concrete, parameter, wrap
@@ -246,7 +245,7 @@ def bootstrap(
     require_whole(candidates, "bootstrap: candidates")
     first, second = jax.random.split(key)
     w = jax.random.uniform(first, (candidates, 4 * sampler.size))
-    starts = compiled(jax.vmap(lambda numbers: start(sampler, contribution, numbers)))(w)
+    starts = eqx.filter_jit(jax.vmap(lambda numbers: start(sampler, contribution, numbers)))(w)
     f = np.exp(np.asarray(starts.log_f, np.float64))
     k = int(np.argmin(np.isfinite(f)))
     require(

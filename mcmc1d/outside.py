@@ -1,20 +1,18 @@
-"""What functions read from outside of their arguments: a program that was made of them is good while that stays.
+"""What functions read from outside of their arguments, and whether it has changed since they were compiled.
 
 JAX compiles a function once and knows it by its identity. In a session a function stays the same object while a global,
-a closure's variable, a class's attribute or an array in one of these changes; what was compiled before would then stand
-for what is asked now, and a right kernel's verdict be given to its mutant.
+a closure's variable, an attribute, an array in one of these or its own code changes; what was compiled before would
+then stand for what is asked now, and a right kernel's verdict be given to its mutant.
 """
 
 import dis
 import functools
-import hashlib
 import sys
 import sysconfig
 import types
-from collections import ChainMap
+import weakref
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,161 +22,231 @@ import numpy as np
 from jax.core import Tracer
 
 _SETTLED = tuple(
-    f"{folder}/"
-    for folder in (*map(sysconfig.get_paths().get, ("stdlib", "purelib", "platlib")), Path(__file__).parent.as_posix())
+    str(Path(folder).resolve()) + "/"
+    for folder in (*map(sysconfig.get_path, ("stdlib", "purelib", "platlib")), Path(__file__).parent)
 )
 """Where code lies whose globals nobody changes."""
-_VALUES = (bool, int, float, complex, str, bytes, type(None), np.generic, np.ndarray, jax.Array)
-_MOST = 20_000
-"""Objects that are looked at, of a graph without end."""
+_PLAIN = (bool, int, float, complex, str, bytes, type(None), np.generic)
+_FUNCTIONS = (types.FunctionType, types.MethodType, functools.partial)
+_MOST, _LARGE = 5_000, 10**6  # objects of one look; numbers of an array, of which as many are looked at
+_before: "weakref.WeakKeyDictionary[Any, tuple[Any, ...]]" = weakref.WeakKeyDictionary()
+"""Of each function, class and object that was looked at, what it read then."""
 
 
-class Outside:
-    """All that the functions and classes in a pytree read from outside, as it is now: a key for compiled programs."""
+def forget_what_has_changed(*given: Any) -> None:
+    """Have JAX forget all that it has compiled, where a function or class in `given` reads something else than before.
 
-    def __init__(self, tree: Any):
-        self._held = tuple(_Reader().read(tree, outside=False))
-        self._hash = hash(self._held)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Outside) and self._held == other._held
-
-
-class _Same:
-    """An object as itself: equal to no other, and kept, so that no other gets its number."""
-
-    def __init__(self, it: Any):
-        self.it = it
-
-    def __hash__(self) -> int:
-        return id(self.it)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self.it is other.it
+    That is numbers, texts, arrays, lists and dictionaries of them, functions, methods, attributes of objects and of
+    modules. What can not be read is taken to stay.
+    """
+    changed = False
+    for root in _roots(given):
+        try:
+            key, now = root.__self__ if isinstance(root, types.MethodType) else root, tuple(_held(root))
+            changed |= _before.get(key, now) != now
+            _before[key] = now
+        except Exception:  # a user's objects may do as they like when they are looked at
+            continue
+    if changed:
+        jax.clear_caches()
 
 
-class _Reader:
-    """One look at a graph of objects, each of which is read once."""
-
-    def __init__(self):
-        self.seen: dict[tuple[int, bool], Any] = {}
-
-    def read(self, it: Any, outside: bool) -> Iterator[Any]:
-        """What `it` reads; and where it lies `outside` of the arguments itself, what it is."""
-        if isinstance(it, _VALUES):
-            if outside:
-                yield _content(it)
-        elif not isinstance(it, Tracer | types.ModuleType) and self._first(it, outside):
-            yield from self._parts(it, outside)
-
-    def _first(self, it: Any, outside: bool) -> bool:
-        if (id(it), outside) in self.seen or len(self.seen) > _MOST:
-            return False
-        self.seen[id(it), outside] = it
-        return True
-
-    def _parts(self, it: Any, outside: bool) -> Iterator[Any]:
-        match it:
-            case list() | tuple() | set() | frozenset():
-                parts = [*it, len(it)]
-            case dict():
-                parts = [*it.keys(), *it.values()]
-            case types.MethodType():  # made anew whenever it is asked for
-                parts = [it.__func__, it.__self__]
-            case functools.partial():
-                parts = [it.func, it.args, it.keywords]
-            case eqx.Module():
-                parts = [getattr(it, field.name, None) for field in fields(it)]
-                yield from self.read(type(it), outside)
-            case _:
-                if outside:
-                    yield _Same(it)
-                parts, outside = list(_read_by(it)), True
-        for part in parts:
-            yield from self.read(part, outside)
+def _roots(tree: Any) -> Iterator[Any]:
+    """The functions and other objects among the leaves of a pytree, and the classes of its modules."""
+    todo = [tree]
+    while todo:
+        it = todo.pop()
+        if type(it) in weakref.ProxyTypes:
+            continue
+        if is_dataclass(it) and not isinstance(it, type):
+            todo += [getattr(it, field.name, None) for field in fields(it)]
+            if not _settled_class(type(it)):
+                yield type(it)
+        elif isinstance(it, list | tuple):
+            todo += it
+        elif isinstance(it, dict):
+            todo += it.values()
+        elif not isinstance(it, (*_PLAIN, np.ndarray, jax.Array)):
+            yield it
 
 
-def _content(it: Any) -> Any:
-    """A number, a text or an array by its value; an array of JAX never changes."""
-    if isinstance(it, jax.Array):
-        return None if isinstance(it, Tracer) else _Same(it)
-    if isinstance(it, np.ndarray):
-        return it.shape, it.dtype.str, hashlib.blake2b(np.ascontiguousarray(it).data, digest_size=16).digest()
-    return type(it), repr(it)
+def _held(root: Any) -> Iterator[Any]:
+    """All that it reads, one after the other, as values that can be compared; each object once, and then its number."""
+    seen: dict[int, tuple[int, Any]] = {}
+    todo = [root]
+    while todo and len(seen) < _MOST:
+        it = todo.pop()
+        if isinstance(it, _PLAIN):
+            yield type(it), repr(it)
+        elif id(it) in seen:
+            yield seen[id(it)][0]
+        else:
+            seen[id(it)] = len(seen), it
+            value, parts = _read(it)
+            yield value
+            todo += parts
 
 
-def _read_by(it: Any) -> Iterator[Any]:
-    """What a function, a class or any other object refers to."""
-    if isinstance(it, types.FunctionType):
-        cells = {}
-        for name, cell in zip(it.__code__.co_freevars, it.__closure__ or (), strict=True):
-            with suppress(ValueError):  # empty yet
-                cells[name] = cell.cell_contents
-        yield from (it.__defaults__, it.__kwdefaults__, getattr(it, "__wrapped__", None), *cells.values())
-        if not it.__code__.co_filename.startswith(_SETTLED):
-            known = ChainMap(cells, it.__globals__)
-            yield from (_resolved(chain, known) for chain in _chains(it.__code__))
+def _read(it: Any) -> tuple[Any, list[Any]]:
+    """What an object is, and what it refers to, as far as that is looked at."""
+    value, parts = id(it), []
+    if isinstance(it, Tracer | types.ModuleType):
+        pass
+    elif isinstance(it, np.ndarray | jax.Array):
+        value = _numbers(it)
+    elif isinstance(it, list | tuple | set | frozenset | dict):
+        value, parts = (type(it), len(it)), [*it.keys(), *it.values()] if isinstance(it, dict) else list(it)
+    elif isinstance(it, types.FunctionType):
+        value, parts = it.__code__, list(_read_by(it))
+    elif isinstance(it, types.MethodType):
+        value, parts = type(it), [it.__func__, *_attributes(it.__self__, _names(it.__func__))]
+    elif isinstance(it, functools.partial):
+        value, parts = type(it), [it.func, it.args, it.keywords]
     elif isinstance(it, type):
-        for base in it.__mro__:
-            if not _settled(base):
-                yield from (
-                    _bare(value) for name, value in vars(base).items() if name[:2] != "__" or name == "__call__"
-                )
+        parts = [] if _settled_class(it) else list(_members(it))
+    elif isinstance(it, eqx.Module):
+        value, parts = type(it).__qualname__, [type(it), *(getattr(it, field.name, None) for field in fields(it))]
     else:
-        yield from (type(it), getattr(it, "__wrapped__", None))
-        yield from list(getattr(it, "__dict__", {}).values())
+        # A function that JAX or functools has wrapped, or an object that is called, or only handed on.
+        own, call = getattr(it, "__dict__", {}), vars(type(it)).get("__call__")
+        parts = [part for name, part in own.items() if name == "__wrapped__" or isinstance(part, _FUNCTIONS)]
+        if isinstance(call, types.FunctionType):
+            parts += [call, *_attributes(it, _names(call))]
+    return value, parts
 
 
-@functools.cache
-def _settled(kind: type) -> bool:
-    """Whether a class is Python's, or of an installed library."""
-    module = sys.modules.get(kind.__module__)
-    file = getattr(module, "__file__", None)
-    return kind.__module__ == "builtins" or (file is not None and file.startswith(_SETTLED))
+def _numbers(array: Any) -> Any:
+    """The kind of an array, and what stands for its numbers."""
+    if isinstance(array, jax.Array) and jax.dtypes.issubdtype(array.dtype, jax.dtypes.prng_key):
+        array = jax.random.key_data(array)
+    found = np.asarray(array)
+    some = np.ascontiguousarray(found.ravel()[:: max(1, found.size // _LARGE)])
+    return found.shape, found.dtype.str, hash(some.tobytes())
+
+
+def _read_by(function: types.FunctionType) -> Iterator[Any]:
+    """What a function takes from its closure, its defaults and, where its module is a user's, from its globals."""
+    yield from (function.__defaults__, function.__kwdefaults__, vars(function).get("__wrapped__"))
+    cells = {}
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        try:
+            cells[name] = cell.cell_contents
+        except ValueError:  # empty yet
+            continue
+    if function.__code__.co_filename.startswith(_SETTLED):
+        yield from cells.values()
+    else:
+        for scope, chain in _chains(function.__code__):
+            yield _resolved(chain, cells if scope == "cell" else function.__globals__)
+
+
+def _members(kind: type) -> Iterator[Any]:
+    """The functions and values of a class and of those that it is made of."""
+    for base in kind.__mro__:
+        if not _settled_class(base):
+            for name, value in vars(base).items():
+                if not name.startswith("__") or name == "__call__":
+                    yield _bare(value)
 
 
 def _bare(attribute: Any) -> Any:
-    """The function behind a method, a property, or what Equinox makes of them."""
-    match attribute:
-        case staticmethod() | classmethod():
-            return attribute.__func__
-        case property():
-            return attribute.fget
-        case functools.cached_property():
-            return attribute.func
-        case _:
-            return attribute.method if type(attribute).__module__.startswith("equinox.") else attribute
+    """The function behind a method or a property."""
+    for name, kinds in (("__func__", (staticmethod, classmethod)), ("fget", property)):
+        if isinstance(attribute, kinds):
+            return getattr(attribute, name)
+    if type(attribute).__name__ in ("_wrap_method", "cached_property"):  # Equinox's, and functools'
+        return getattr(attribute, "method", None) or getattr(attribute, "func", None)
+    return attribute
 
 
-@functools.cache
-def _chains(code: types.CodeType) -> tuple[tuple[str, ...], ...]:
-    """The names, with the attributes asked of them, that code reads from outside: ("jnp", "exp")."""
-    found: list[list[str]] = []
-    open_ = False
+def _attributes(it: Any, names: set[str]) -> Iterator[Any]:
+    """Of an object the attributes of these names, its own and its class's; a method's with those that it asks for.
+
+    But what a method changes itself.
+    """
+    done, todo = set[str](), list(names)
+    own = getattr(it, "__dict__", {})
+    if isinstance(it, types.ModuleType | eqx.Module | type):
+        return
+    while todo:
+        name = todo.pop()
+        if name in done:
+            continue
+        done.add(name)
+        if name in own:
+            yield own[name]
+        elif not _settled_class(type(it)):
+            for base in type(it).__mro__:
+                if name in vars(base):
+                    found = _bare(vars(base)[name])
+                    yield found
+                    if isinstance(found, types.FunctionType):
+                        todo += _names(found)
+                    break
+
+
+def _names(function: types.FunctionType) -> set[str]:
+    """Those that it reads, and does not change."""
+    return set(function.__code__.co_names) - _stored(function.__code__)
+
+
+def _settled_class(kind: type) -> bool:
+    """Whether a class is Python's, or of an installed library."""
+    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+    return kind.__module__ == "builtins" or (file is not None and file.startswith(_SETTLED))
+
+
+_SCOPES = {"LOAD_GLOBAL": "global", "LOAD_NAME": "global", "LOAD_DEREF": "cell"}
+
+
+@functools.lru_cache(1024)
+def _chains(code: types.CodeType) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """The names, with the attributes asked of them, that code reads from outside: ("global", ("jnp", "exp"))."""
+    found: list[tuple[str, list[str]]] = []
+    follows = False
     for instruction in dis.get_instructions(code):
-        if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF"):
-            found.append([instruction.argval])
-            open_ = True
-        elif open_ and instruction.opname in ("LOAD_ATTR", "LOAD_METHOD"):
-            found[-1].append(instruction.argval)
-        else:
-            open_ = False
-    inner = [_chains(part) for part in code.co_consts if isinstance(part, types.CodeType)]
-    return tuple(dict.fromkeys([*map(tuple, found), *(chain for part in inner for chain in part)]))
+        if instruction.opname in _SCOPES:
+            found.append((_SCOPES[instruction.opname], [instruction.argval]))
+            follows = True
+        elif follows and instruction.opname in ("LOAD_ATTR", "LOAD_METHOD"):
+            found[-1][1].append(instruction.argval)
+        elif instruction.opname not in ("EXTENDED_ARG", "CACHE"):
+            follows = False
+    each = [(scope, tuple(names)) for scope, names in found]
+    each += [chain for part in code.co_consts if isinstance(part, types.CodeType) for chain in _chains(part)]
+    # A variable of the function's own, of a function inside, is none of its closure; and what it changes itself, as one
+    # that counts how often it is traced, makes it no other.
+    return tuple(
+        dict.fromkeys(
+            (scope, names)
+            for scope, names in each
+            if (scope == "global" or names[0] in code.co_freevars)
+            and names[0] not in _stored(code)
+            and names[-1] not in _MUTATORS
+        )
+    )
+
+
+_MUTATORS = ("append", "extend", "add", "update", "insert", "pop", "clear")
+
+
+@functools.lru_cache(1024)
+def _stored(code: types.CodeType) -> frozenset[str]:
+    """The globals, variables of the closure and attributes that code changes."""
+    stores = ("STORE_GLOBAL", "STORE_DEREF", "STORE_ATTR")
+    return frozenset(i.argval for i in dis.get_instructions(code) if i.opname in stores)
 
 
 def _resolved(chain: tuple[str, ...], known: Mapping[str, Any]) -> Any:
-    """What a chain of names stands for: of attributes that are computed, the object that they are asked of."""
+    """What a chain of names stands for: a value, a method, or the object of which something computed is asked."""
     it = known.get(chain[0])
     for name in chain[1:]:
         own = getattr(it, "__dict__", {})
         if name not in own:
-            break
+            of_class = getattr(type(it), name, None)
+            return types.MethodType(of_class, it) if isinstance(of_class, types.FunctionType) else it
         it = own[name]
     return it
 
 
-__all__ = ["Outside"]
+__all__ = ["forget_what_has_changed"]

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require, require_instance, rising
-from mcmc1d.compiling import compiled
 from mcmc1d.examples import Examples
 from mcmc1d.metropolis import Deposited, Deposits, Kernel, OfMove, Step, accept
 from mcmc1d.moves import Move, SmallStep
@@ -143,7 +142,7 @@ def samples(target: Floored, u: ArrayLike) -> np.ndarray:
         return np.asarray(_states(cast(target, jnp.float64), jnp.asarray(u, jnp.float64)).seen.x)
 
 
-@compiled
+@eqx.filter_jit
 def _states(target: Floored, u: Float[Array, "n m"]) -> State:
     return jax.vmap(target.state)(u)
 

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require, require_key, require_whole
-from mcmc1d.compiling import compiled
 from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image, film_row
 from mcmc1d.metropolis import Kernel, as_kernel, step_batch
@@ -102,7 +101,7 @@ def energy_redistribution(
     return Rendered(Film.of(sums, np.full(replicas, quantum / length), starts), work, rate)
 
 
-@compiled
+@eqx.filter_jit
 def _draws(keys: Array, scene: Scene, count: int) -> tuple[State, Float[Array, "r n"], Float[Array, "r n"]]:
     """Independent states, the energy of each, n times C_i(u) for n techniques, and a uniform number for each."""
     dtype = jnp.zeros(()).dtype
@@ -116,7 +115,7 @@ def _draws(keys: Array, scene: Scene, count: int) -> tuple[State, Float[Array, "
     return jax.vmap(one)(keys)
 
 
-@compiled
+@eqx.filter_jit
 def _scatter(keys: Array, scene: Scene, count: int, used: Array) -> Float[Array, "r n 5"]:
     """The film's sums of independent samples, of which the first `used` count."""
     dtype = jnp.zeros(()).dtype
@@ -136,7 +135,7 @@ def _scatter(keys: Array, scene: Scene, count: int, used: Array) -> Float[Array,
     return jax.vmap(one)(keys)
 
 
-@compiled
+@eqx.filter_jit
 def _walk(
     keys: Array, scene: Scene, estimator: Image, kernel: Kernel, starts: State, weight: Float[Array, "r c"], length: int
 ) -> tuple[Float[Array, "r n 5"], Float[Array, " r"]]:

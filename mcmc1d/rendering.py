@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcmc1d.checks import require, require_key, require_whole
-from mcmc1d.compiling import compiled
 from mcmc1d.estimators import added, empty
 from mcmc1d.image import Film, Image
 from mcmc1d.importance import Product, Regions, require_importance
@@ -246,7 +245,7 @@ def _whole(number: int) -> Array:
     return jnp.asarray(number, jnp.int32)
 
 
-@compiled
+@eqx.filter_jit
 def _start(keys: Array, scene: Scene, values: Array, regions: Array, chains: int) -> tuple[State, Int[Array, " r"]]:
     """Exact draws for the chains of every replica, and what is at fault with each replica's."""
     dtype = jnp.zeros(()).dtype
@@ -259,7 +258,7 @@ def _start(keys: Array, scene: Scene, values: Array, regions: Array, chains: int
     return jax.vmap(one)(keys, values)
 
 
-@compiled
+@eqx.filter_jit
 def _expose(
     keys: Array,
     scene: Scene,
@@ -324,7 +323,7 @@ def _exact_starts(key: Key, target: Multiplexed, chains: int, dtype: Any) -> tup
     return state, jnp.where(finite, narrow, _NOT_FINITE).astype(jnp.int32)
 
 
-@compiled
+@eqx.filter_jit
 def _densities(keys: Array, scene: Scene, values: Array, regions: Array, count: int) -> Float[Array, "r n"]:
     """The density C_i(u) of the importance function at independent samples."""
     dtype = jnp.zeros(()).dtype

@@ -10,6 +10,7 @@ import numpy as np
 from mcmc1d.checks import require, require_dtype, require_instance, require_key, require_whole
 from mcmc1d.compiling import quickly
 from mcmc1d.numerics import below_one, cast, stratum
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.random import uniforms
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Bool, Float, Int, Key
@@ -43,6 +44,7 @@ def normalisation(key: Key, target: Multiplexed, samples: int = 2**20) -> Normal
     sample, and where it is zero at all of them.
     """
     require_multiplexed(target, "normalisation")
+    forget_what_has_changed(target)
     require_key(key, "normalisation")
     require_whole(samples, "normalisation: samples", 2)
     batch = min(samples, 2**18)
@@ -74,6 +76,7 @@ def exact_start(key: Key, target: Multiplexed, count: int, dtype: Any = None, in
     finite.
     """
     require_multiplexed(target, "exact_start")
+    forget_what_has_changed(target)
     require_key(key, "exact_start")
     require_whole(count, "exact_start: count")
     n = target.n_techniques

@@ -9,6 +9,7 @@ import numpy as np
 
 from mcmc1d.checks import require, require_cover, require_instance, require_mass, require_planar_cover, rising
 from mcmc1d.numerics import is_concrete
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.probes import require_sound
 from mcmc1d.quadrature import Outline, integrate, integrate_plane
 from mcmc1d.targets import DensityOf, Target
@@ -83,6 +84,7 @@ class Multiplexed(eqx.Module):
         `techniques`: one, several, or a `Family` of those that share their work. `probes`: 0 looks at none, for
         targets that are known to be sound.
         """
+        forget_what_has_changed(target, techniques, weights)
         require_instance(target, Target, "Multiplexed: the target", "; FromFunction makes one of a function")
         self.target = target
         if not isinstance(techniques, Family):

@@ -50,7 +50,7 @@ CALLS = {
     "verify.check_move(move, targets.Sinusoid())": "wrap it: Multiplexed(target, techniques)",
     "verify.check_technique(techniques.Tent)": "check_technique: the technique: give an instance, Tent(...)",
     "run(key, move, target, steps=1, chains=8, start=3)": "run: start must be a State, not an int",
-    "run(key, moves.SmallStep([0.1, 0.2]), target, steps=1)": "it proposes u of shape (2,), and a state's is (1,)",
+    "run(key, moves.SmallStep([0.1, 0.2]), target, steps=1)": "it proposes u of shape (2,), and a state's is (1,);",
     "run(key, move, target, steps=1, every='a')": "run: every is a number of seconds, not 'a'",
     "moves.SmallStep(1e6)": "SmallStep: sigma is a share of the unit interval, 100 at most, not 1000000.0",
     "moves.UniformStep(1e6)": "UniformStep: width is a share of the unit interval",

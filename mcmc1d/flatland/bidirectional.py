@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require, require_instance
-from mcmc1d.compiling import compiled
 from mcmc1d.examples import Examples
 from mcmc1d.flatland.evaluation import evaluate, reads
 from mcmc1d.flatland.geometry import Vector, Walls
@@ -127,7 +126,7 @@ class Bidirectional(Family):
             return np.asarray(_made(self, jnp.asarray(index), jnp.asarray(u)))
 
 
-@compiled
+@eqx.filter_jit
 def _made(family: Bidirectional, index: Array, u: Array) -> Array:
     return jax.vmap(lambda i, u: cast(family, u.dtype).forward(i, u)[0])(index, u)
 

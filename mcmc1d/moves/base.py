@@ -66,7 +66,7 @@ def proposal_of(move: Move, target: Multiplexed, state: State, w: Float[Array, "
     proposal, who = move.propose(target, state, w), f"{type(move).__name__}.propose"
     require_instance(proposal, Proposal, f"{who}: what it returns", ": the state, w, log_det and kind")
     u, own = jnp.shape(proposal.state.u), jnp.shape(state.u)
-    require(u == own, f"{who}: it proposes u of shape {u}, and a state's is {own}")
+    require(u == own, f"{who}: it proposes u of shape {u}, and a state's is {own}; give one size, or one for each")
     shape = jnp.shape(proposal.log_det)
     require(shape == (), f"{who}: log_det must be one number for one state, not of shape {shape}")
     return proposal

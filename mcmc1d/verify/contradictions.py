@@ -128,7 +128,8 @@ def require_alike(
     if law.auxiliary:  # those of a chain's target, which a user has not written
         mend = "A technique's log_prob, or the target's bin_masses, is wrong: check_technique tells which"
     coarse = _coarse(draws)
-    if not coarse and all(np.all(values == np.round(values)) for values in coordinates(draws).values()):
+    columns = coordinates(draws).values()
+    if not coarse and all(varies(values) and np.all(values == np.round(values)) for values in columns):
         mend += "; the draws are whole numbers, whose law is given as a verify.Discrete"
     raise LawError(
         f"{law.name}: its sampler and its exact law of {test.name} disagree (p = {own[worst]:.1e} from {tally.n} "
@@ -137,11 +138,12 @@ def require_alike(
 
 
 def _coarse(draws: Position) -> str:
-    """A word on draws so far from zero that their floats are coarse, or all the same."""
+    """A word on draws so far from zero that their floats are coarse."""
     for name, values in coordinates(draws).items():
-        if values.dtype == np.float32 and not np.all(values == 0):
-            step = float(np.spacing(np.abs(values).max()))
-            if step > 1e-4 * np.ptp(np.quantile(values, [0.25, 0.75])):
+        if values.dtype == np.float32 and varies(values):
+            step, middle = float(np.spacing(np.abs(values).max())), np.ptp(np.quantile(values, [0.25, 0.75]))
+            # Half of them may be one number: an atom, or, where all are a few steps apart, rounding.
+            if step > 1e-4 * middle > 0 or np.ptp(values) < _ATOM * step:
                 return f"; in float32 {name} has steps of {step:.2g}: verify it with jax.enable_x64(True)"
     return ""
 
@@ -150,7 +152,7 @@ def _atoms(draws: Position) -> str:
     """A word on draws that are the same number."""
     for name, values in coordinates(draws).items():
         numbers, counts = np.unique(values, return_counts=True)
-        if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM and varies(values):
+        if np.issubdtype(values.dtype, np.floating) and counts.max() >= _ATOM:
             return (
                 f"; {counts.max()} of {values.size} draws are {name} = {numbers[np.argmax(counts)]:.6g}: where that is "
                 "rounding, verify it with jax.enable_x64(True); where the law has an atom, say so by `statistics`, for "

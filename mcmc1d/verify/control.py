@@ -1,5 +1,6 @@
 """A random walk on a law's own density, from the law's own draws: where it leaves them, the kernel may be right."""
 
+import time
 from functools import partial
 from typing import Any
 
@@ -12,6 +13,7 @@ from mcmc1d.verify.sampler import Sampler, inside
 
 _REPLICAS, _STEPS = 2**14, 32
 _SMALLEST = 0.03  # of the steps' sizes, which are drawn evenly on a logarithmic scale up to a coordinate's own spread
+_SECONDS = 5.0  # what the walk may take
 _LEVEL = 1e-9  # at which a law is said to contradict itself that does not
 _DISTINCT = 0.99  # of a coordinate's draws, without which it has atoms, and no step has a density
 _FLAT = 1e-6  # the least eigenvalue of a correlation, under which the law lives on a plane
@@ -30,14 +32,18 @@ def doubts(sampler: Sampler) -> list[str]:
     start, fresh = (jax.tree.map(lambda a, part=part: a[part::2], drawn) for part in (0, 1))
     known = coordinates(fresh)
     names = [name for name, values in known.items() if _continuous(values)]
-    if not names or (len(names) > 1 and np.linalg.eigvalsh(np.corrcoef([known[n] for n in names]))[0] < _FLAT):
+    if not names or _flat([known[name] for name in names]):
         return []
     rng = np.random.default_rng(sampler.words("diagnosis", 2))
     lower, upper = (jax.tree.map(lambda a, end=end: end(a, axis=0), drawn) for end in (np.min, np.max))
     spread = jax.tree.map(_spread, drawn)
+    began = time.perf_counter()
     now, where = density(start), start
+    if time.perf_counter() - began > _SECONDS / _STEPS:
+        return []
     for _ in range(_STEPS):
-        after = jax.tree.map(lambda a, size: _stepped(a, size, rng), where, spread)
+        with np.errstate(over="ignore"):  # of a heavy tail
+            after = jax.tree.map(lambda a, size: _stepped(a, size, rng), where, spread)
         within = inside(law, after, sampler.slack)
         for a, low, high in zip(*map(jax.tree.leaves, (after, lower, upper)), strict=True):
             within &= ((a >= low) & (a <= high)).reshape(len(a), -1).all(1)
@@ -60,6 +66,13 @@ def doubts(sampler: Sampler) -> list[str]:
 
 def _continuous(values: np.ndarray) -> bool:
     return values.dtype.kind == "f" and len(np.unique(values)) > _DISTINCT * len(values)
+
+
+def _flat(columns: list[np.ndarray]) -> bool:
+    """Whether they lie on a plane."""
+    with np.errstate(all="ignore"):
+        found = np.corrcoef(np.asarray(columns, np.float64))
+    return len(columns) > 1 and np.isfinite(found).all() and bool(np.linalg.eigvalsh(found)[0] < _FLAT)
 
 
 def _spread(a: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mcmc1d.checks import require_whole
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.verify.adapters import as_subject
 from mcmc1d.verify.battery import coordinates
 from mcmc1d.verify.goodness import sign_p_value
@@ -63,6 +64,7 @@ def efficiency(
     Arguments as `verify`'s; `reference` is a kernel that is known to be as good as it should be.
     """
     require_whole(replicas, "efficiency: replicas, for a comparison,", 256)
+    forget_what_has_changed(kernel, reference, target)
     law, runs = as_law(target), []
     for k, each in enumerate((kernel, reference)):
         subject = as_subject(each, target, law, reversible=None, deposits=None, max_weight=1.0)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mcmc1d.checks import require
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.verify.adapters import as_subject
 from mcmc1d.verify.law import as_law
 from mcmc1d.verify.ledger import Ledger, Scheme
@@ -78,6 +79,7 @@ def verify(
 
     """
     began = time.perf_counter()
+    forget_what_has_changed(kernel, target, statistics, deposits)
     law = as_law(target)
     law = replace(law, statistics={**law.statistics, **(statistics or {})})
     subject = as_subject(kernel, target, law, reversible=reversible, deposits=deposits, max_weight=max_weight)

@@ -20,6 +20,7 @@ from mcmc1d.metropolis import Kernel, Step, as_kernel
 from mcmc1d.moves import Move, Proposal
 from mcmc1d.moves.technique import log_ratio
 from mcmc1d.numerics import cast, choose, entry, unchoose, width, wrap
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.targets import Tabulated
 from mcmc1d.techniques import Technique, Uniform
@@ -132,6 +133,7 @@ def enumerate_kernel(
     Raises `ValueError` where they do not, where a step leaves the states, and where the outcome is not piecewise
     constant.
     """
+    forget_what_has_changed(kernel, target)
     kernel = as_kernel(kernel, "enumerate_kernel: the kernel")
     require_instance(target, Multiplexed, "enumerate_kernel: the target")
     kernel.check(target)

@@ -11,6 +11,7 @@ import numpy as np
 from mcmc1d.checks import require_instance, require_whole
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.state import Multiplexed
 from mcmc1d.targets.gaussian_mixture import walls_and_valley
 from mcmc1d.techniques import Mixture, PiecewiseConstant, PiecewiseLinear, Ramp, Tent
@@ -58,6 +59,7 @@ def check_move(
     The target is `hard_target()` unless given. Returns a `ContractReport`, false where a check failed. Raises
     `ValueError` where the move does not fit the target.
     """
+    forget_what_has_changed(move, target)
     require_instance(move, Move, "check_move: the move")
     require_whole(points, "check_move: points")
     target = hard_target() if target is None else target

@@ -12,6 +12,7 @@ from mcmc1d.compiling import wide_jit
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
 from mcmc1d.numerics import cast
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.state import Multiplexed, State
 from mcmc1d.types import Array, Float, Index
 from mcmc1d.verify.cells import net_points, require_nets, sobol
@@ -42,6 +43,7 @@ def deposit_law(
 
     Raises `ValueError` where the kernel does not fit the target, x is no scalar, or the bins do not cover its domain.
     """
+    forget_what_has_changed(kernel, target)
     kernel = as_kernel(kernel, "deposit_law: the kernel")
     require_instance(target, Multiplexed, "deposit_law: the target")
     kernel.check(target)

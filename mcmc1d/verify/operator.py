@@ -19,6 +19,7 @@ from scipy.special import gammaln
 from mcmc1d.checks import require, require_instance, rising, traced
 from mcmc1d.metropolis import Kernel, as_kernel
 from mcmc1d.moves import Move
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.state import Multiplexed
 from mcmc1d.verify.flux import Flux, Starts, measure
 from mcmc1d.verify.goodness import expected_distance
@@ -252,6 +253,7 @@ def transition_operator(
 
     Raises `ValueError` for more than three u, and where the kernel does not fit the target.
     """
+    forget_what_has_changed(kernel, target)
     kernel = as_kernel(kernel, "transition_operator: the kernel")
     require_instance(target, Multiplexed, "transition_operator: the target")
     kernel.check(target)
@@ -284,6 +286,7 @@ def step_operator(
     The starts are a Sobol net as for a kernel, each with a key of its own: the steps' noise is Monte Carlo's, and
     higher than a kernel's. `position` has the shape (d,), d up to three; mass that leaves the box counts at its edge.
     """
+    forget_what_has_changed(step, log_density)
     lower, upper = np.atleast_1d(np.asarray(lower, np.float64)), np.atleast_1d(np.asarray(upper, np.float64))
     finite = bool(np.isfinite([lower, upper]).all()) if lower.shape == upper.shape else False
     require(

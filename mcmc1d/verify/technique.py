@@ -9,6 +9,7 @@ import numpy as np
 
 from mcmc1d.checks import require, require_instance, require_whole
 from mcmc1d.numerics import cast
+from mcmc1d.outside import forget_what_has_changed
 from mcmc1d.techniques import Family, Technique
 from mcmc1d.verify.compare import Points, compare, condition_number, directions, log_abs_det, steepness
 from mcmc1d.verify.contract import Check, ContractReport, numbers
@@ -44,6 +45,7 @@ def check_technique(
         technique, Technique, "check_technique: the technique", "; check each of its .members" if several else ""
     )
     require_whole(points, "check_technique: points")
+    forget_what_has_changed(technique)
     checks = []
     with jax.enable_x64(True):
         for dtype in map(np.dtype, dtypes):

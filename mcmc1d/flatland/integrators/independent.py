@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from mcmc1d.checks import require
-from mcmc1d.compiling import compiled
 from mcmc1d.flatland.bidirectional import Bidirectional
 from mcmc1d.flatland.integrators.base import Integrator, brightest, brightest_from_lamps, multiplexed
 from mcmc1d.flatland.integrators.image import Layer
@@ -86,7 +85,7 @@ def independent(key: Key, integrator: Integrator, scene: Scene, edges: int, samp
     return Layer(edges, float(paths.sensor.pixels), sums, None, float(edges) * sums.size)
 
 
-@compiled
+@eqx.filter_jit
 def _unseen(target: Multiplexed) -> Array:
     """Mean light of paths by all techniques, and of those of them that light tracing can not make."""
     target = cast(target, jnp.zeros(()).dtype)
