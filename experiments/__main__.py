@@ -45,7 +45,7 @@ def run(
     names: Annotated[list[str] | None, typer.Argument(help="Which experiments; see `list`.")] = None,
     all_: Annotated[bool, typer.Option("--all", help="Every experiment.")] = False,
     profile: Annotated[str, typer.Option(help="quick (a minute or so each) or paper.")] = "quick",
-    seed: Annotated[int, typer.Option(help="The same seed gives the same numbers.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="The same seed gives the same numbers.")] = 0,
     out: Out = Path("figures"),
     set_: Annotated[list[str] | None, typer.Option("--set", help="Override a field: name=value, repeatable.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes, pinned to a core each, for sweeps and experiments.")] = 1,
@@ -164,7 +164,7 @@ def scene(
     names: Annotated[list[str], typer.Argument(help="Of the catalogue, or scene files NAME.toml.")],
     edges: Annotated[int, typer.Option(help="The paths' edges: 1 is a lamp that is seen directly.")] = 3,
     paths: Annotated[int, typer.Option(help="How many paths that carry light, of each technique at most.")] = 30,
-    seed: Annotated[int, typer.Option(help="Of the paths.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the paths.")] = 0,
     out: Out = Path("figures"),
 ) -> None:
     """Draw flatland scenes, each with paths by technique, into scene_NAME.png."""
@@ -203,7 +203,7 @@ def claims(
 @app.command()
 def bench(
     profile: Annotated[str, typer.Option(help="quick (two minutes) or paper.")] = "quick",
-    seed: Annotated[int, typer.Option(help="Kept with the results.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Kept with the results.")] = 0,
     out: Out = Path("figures"),
     set_: Annotated[list[str] | None, typer.Option("--set", help="Override a field: name=value, repeatable.")] = None,
     json_: Annotated[bool, typer.Option("--json", help="The ratios as JSON.")] = False,

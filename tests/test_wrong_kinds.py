@@ -43,6 +43,7 @@ CALLS = {
     "flatland.Pinhole((0.0, 0.0), (1.0, 0.0), half_angle=True)": "half_angle is a number, in radians, not True",
     "flatland.Material(lambert=1 + 1e-7)": "must sum to 1 at most, not 1.0000001",
     "flatland.Material(emission='1')": "Material: emission is a number, not '1'",
+    "flatland.Pinhole((0.0, 0.0), (1.0, 0.0), 1e-12, 2)": "2 pixels in a half_angle of 1e-12 are narrower than 1e-09",
     "flatland.Pinhole((0.0, 0.0), (1.0, 0.0), pixels=2.5)": "Pinhole: pixels must be a whole number",
     "tempering.replicas(3, [1.0])": "replicas: the target must be a Target",
     "tempering.replicas(targets.Sinusoid(), [1.0], techniques.Tent)": "replicas: the technique: give an instance",

@@ -66,6 +66,8 @@ def chosen(text: str, known: Mapping[str, Any], *, none: bool = False) -> list[s
     """
     named = list(known) if text == "all" else text.split()
     wrong = [name for name in named if name not in known]
+    twice = sorted({name for name in named if named.count(name) > 1})
+    require(not twice, f"{', '.join(twice)} stands twice in {text!r}")
     require(
         (none or len(named) > 0) and not wrong,
         f"there is no {', '.join(wrong) or repr(text)}; known: {', '.join(known)}",

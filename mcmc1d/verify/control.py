@@ -37,6 +37,7 @@ def doubts(sampler: Sampler) -> list[str]:
     rng = np.random.default_rng(sampler.words("diagnosis", 2))
     lower, upper = (jax.tree.map(lambda a, end=end: end(a, axis=0), drawn) for end in (np.min, np.max))
     spread = jax.tree.map(_spread, drawn)
+    there = density(fresh)  # and compiled
     began = time.perf_counter()
     now, where = density(start), start
     if time.perf_counter() - began > _SECONDS / _STEPS:
@@ -52,8 +53,8 @@ def doubts(sampler: Sampler) -> list[str]:
             taken = (np.log(1 - rng.random(len(now))) < then - now) & within
         now = np.where(taken, then, now)
         where = jax.tree.map(partial(_chosen, taken), after, where)
-    there = coordinates(where)
-    pairs = {name: (there[name], known[name]) for name in names} | {"the log density": (now, density(fresh))}
+    walked = coordinates(where)
+    pairs = {name: (walked[name], known[name]) for name in names} | {"the log density": (now, there)}
     test: Any = ks_2samp
     p, worst = min((float(test(*pair).pvalue), name) for name, pair in pairs.items())
     if p * len(pairs) > _LEVEL:
