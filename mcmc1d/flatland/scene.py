@@ -28,7 +28,7 @@ def _require_pixels(pixels: Any, who: str) -> None:
 
 
 _MOST_PIXELS = 10**6
-_NARROWEST = 1e-9
+_FINEST = 1e-9
 """Radians of a pixel; the exact image leaves out what is narrower than a thousandth of that."""
 
 
@@ -126,9 +126,9 @@ class Pinhole:
             f"Pinhole: half_angle is in radians, over 0 and under 1.57, not {self.half_angle}",
         )
         require(
-            2 * self.half_angle >= _NARROWEST * self.pixels,
-            f"Pinhole: {self.pixels} pixels in a half_angle of {self.half_angle} are narrower than {_NARROWEST} radians, "
-            "which rounding does not resolve; widen it",
+            2 * self.half_angle >= _FINEST * self.pixels,
+            f"Pinhole: {self.pixels} pixels in a half_angle of {self.half_angle} are narrower than {_FINEST:g} "
+            "radians, which rounding does not resolve; widen it",
         )
 
 
