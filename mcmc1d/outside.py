@@ -18,6 +18,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -117,7 +118,7 @@ def _read(it: Any) -> tuple[Any, list[Any]]:
 
 def _numbers(array: Any) -> Any:
     """The kind of an array, and what stands for its numbers."""
-    if isinstance(array, jax.Array) and jax.dtypes.issubdtype(array.dtype, jax.dtypes.prng_key):
+    if isinstance(array, jax.Array) and jnp.issubdtype(array.dtype, jax.dtypes.prng_key):
         array = jax.random.key_data(array)
     found = np.asarray(array)
     some = np.ascontiguousarray(found.ravel()[:: max(1, found.size // _LARGE)])

@@ -73,7 +73,7 @@ def _flat(columns: list[np.ndarray]) -> bool:
     """Whether they lie on a plane."""
     with np.errstate(all="ignore"):
         found = np.corrcoef(np.asarray(columns, np.float64))
-    return len(columns) > 1 and np.isfinite(found).all() and bool(np.linalg.eigvalsh(found)[0] < _FLAT)
+    return len(columns) > 1 and bool(np.isfinite(found).all() and np.linalg.eigvalsh(found)[0] < _FLAT)
 
 
 def _spread(a: np.ndarray) -> np.ndarray:
