@@ -145,6 +145,14 @@ def test_what_is_compiled_follows_what_is_read(way):
         np.testing.assert_allclose(compiled(jnp.arange(3.0)), value * np.arange(3.0))
 
 
+def test_an_array_edited_in_place_is_another_constant_though_a_program_holds_the_old_one():
+    own = np.array([1.0, 1.0])
+    held = jax.make_jaxpr(lambda x: jnp.asarray(own) * x)(1.0)
+    own[0] = 3.0
+    np.testing.assert_array_equal(jax.jit(lambda x: jnp.asarray(own) * x)(1.0), [3.0, 1.0])
+    np.testing.assert_array_equal(jax.core.eval_jaxpr(held.jaxpr, held.consts, 1.0)[0], [1.0, 1.0])
+
+
 @pytest.fixture
 def cleared(monkeypatch):
     """How often everything was forgotten."""
