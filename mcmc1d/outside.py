@@ -7,6 +7,8 @@ then stand for what is asked now, and a right kernel's verdict be given to its m
 
 import dis
 import functools
+import os
+import site
 import sys
 import sysconfig
 import types
@@ -23,33 +25,47 @@ import numpy as np
 from jax.core import Tracer
 
 _SETTLED = tuple(
-    str(Path(folder).resolve()) + "/"
-    for folder in (*map(sysconfig.get_path, ("stdlib", "purelib", "platlib")), Path(__file__).parent)
+    str(Path(folder).resolve()) + os.sep
+    for folder in (
+        *map(sysconfig.get_path, ("stdlib", "purelib", "platlib")),
+        *site.getsitepackages(),
+        site.getusersitepackages(),
+        Path(__file__).parent,
+    )
 )
 """Where code lies whose globals nobody changes."""
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), np.generic)
 _FUNCTIONS = (types.FunctionType, types.MethodType, functools.partial)
 _MOST, _LARGE = 5_000, 10**6  # objects of one look; numbers of an array, of which as many are looked at
-_before: "weakref.WeakKeyDictionary[Any, tuple[Any, ...]]" = weakref.WeakKeyDictionary()
-"""Of each function, class and object that was looked at, what it read then."""
+_before: dict[int, tuple[weakref.ref[Any], dict[str, tuple[Any, ...]]]] = {}
+"""Of each object that was looked at, while it lives, and each method of it: what it read then."""
 
 
 def forget_what_has_changed(*given: Any) -> None:
     """Have JAX forget all that it has compiled, where a function or class in `given` reads something else than before.
 
     That is numbers, texts, arrays, lists and dictionaries of them, functions, methods, attributes of objects and of
-    modules. What can not be read is taken to stay.
+    modules. What can not be looked at may have changed.
     """
     changed = False
-    for root in _roots(given):
-        try:
-            key, now = root.__self__ if isinstance(root, types.MethodType) else root, tuple(_held(root))
-            changed |= _before.get(key, now) != now
-            _before[key] = now
-        except Exception:  # a user's objects may do as they like when they are looked at
-            continue
+    try:
+        for root in _roots(given):
+            owner, name = (root.__self__, root.__name__) if isinstance(root, types.MethodType) else (root, "")
+            memory, now = _memory(owner), tuple(_held(root))
+            changed |= memory.get(name, now) != now
+            memory[name] = now
+    except Exception:  # a user's objects may do as they like when they are looked at: to forget is safe, and slow
+        changed = True
     if changed:
         jax.clear_caches()
+
+
+def _memory(it: Any) -> dict[str, tuple[Any, ...]]:
+    """By identity: an object's own equality and hash are its own business."""
+    number = id(it)
+    if number not in _before:
+        _before[number] = weakref.ref(it, lambda _: _before.pop(number, None)), {}
+    return _before[number][1]
 
 
 def _roots(tree: Any) -> Iterator[Any]:
@@ -57,8 +73,6 @@ def _roots(tree: Any) -> Iterator[Any]:
     todo = [tree]
     while todo:
         it = todo.pop()
-        if type(it) in weakref.ProxyTypes:
-            continue
         if is_dataclass(it) and not isinstance(it, type):
             todo += [getattr(it, field.name, None) for field in fields(it)]
             if not _settled_class(type(it)):
@@ -67,7 +81,10 @@ def _roots(tree: Any) -> Iterator[Any]:
             todo += it
         elif isinstance(it, dict):
             todo += it.values()
-        elif not isinstance(it, (*_PLAIN, np.ndarray, jax.Array)):
+        elif not isinstance(it, (*_PLAIN, np.ndarray, jax.Array)) and (
+            # What a library has made without weak references reads nothing: a dtype, the structure of a tree.
+            type(it).__weakrefoffset__ or not _settled_class(type(it))
+        ):
             yield it
 
 
@@ -90,7 +107,7 @@ def _held(root: Any) -> Iterator[Any]:
 
 def _read(it: Any) -> tuple[Any, list[Any]]:
     """What an object is, and what it refers to, as far as that is looked at."""
-    value, parts = id(it), []
+    value, parts = _itself(it), []
     if isinstance(it, Tracer | types.ModuleType):
         pass
     elif isinstance(it, np.ndarray | jax.Array):
@@ -114,6 +131,11 @@ def _read(it: Any) -> tuple[Any, list[Any]]:
         if isinstance(call, types.FunctionType):
             parts += [call, *_attributes(it, _names(call))]
     return value, parts
+
+
+def _itself(it: Any) -> Any:
+    """What is equal for this object alone; another may have its number once it is gone."""
+    return weakref.ref(it) if type(it).__weakrefoffset__ else id(it)
 
 
 def _numbers(array: Any) -> Any:
@@ -152,12 +174,13 @@ def _members(kind: type) -> Iterator[Any]:
 
 def _bare(attribute: Any) -> Any:
     """The function behind a method or a property."""
-    for name, kinds in (("__func__", (staticmethod, classmethod)), ("fget", property)):
-        if isinstance(attribute, kinds):
-            return getattr(attribute, name)
-    if type(attribute).__name__ in ("_wrap_method", "cached_property"):  # Equinox's, and functools'
-        return getattr(attribute, "method", None) or getattr(attribute, "func", None)
-    return attribute
+    if isinstance(attribute, staticmethod | classmethod):
+        return attribute.__func__
+    if isinstance(attribute, property):
+        return attribute.fget
+    if isinstance(attribute, functools.cached_property):
+        return attribute.func
+    return attribute.method if type(attribute).__name__ == "_wrap_method" else attribute  # Equinox's
 
 
 def _attributes(it: Any, names: set[str]) -> Iterator[Any]:
@@ -193,8 +216,10 @@ def _names(function: types.FunctionType) -> set[str]:
 
 def _settled_class(kind: type) -> bool:
     """Whether a class is Python's, or of an installed library."""
-    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
-    return kind.__module__ == "builtins" or (file is not None and file.startswith(_SETTLED))
+    name = kind.__module__
+    modules = map(sys.modules.get, (name, name.partition(".")[0]))  # one made by C has no file, and its package has
+    file = next(filter(None, (getattr(module, "__file__", None) for module in modules)), None)
+    return name == "builtins" or (file is not None and file.startswith(_SETTLED))
 
 
 _SCOPES = {"LOAD_GLOBAL": "global", "LOAD_NAME": "global", "LOAD_DEREF": "cell"}

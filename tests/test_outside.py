@@ -175,7 +175,32 @@ class Counter:
         return self.by * x
 
 
-counter, traces = Counter(), []
+class Pair:
+    """Two methods of one object, in one call."""
+
+    def __init__(self):
+        self.one, self.two = 1.0, 2.0
+
+    def step(self, x):
+        return self.one * x
+
+    def init(self, x):
+        return self.two * x
+
+
+class Odd:
+    """Equal to all, and to no key."""
+
+    __hash__ = None
+
+    def __eq__(self, other):
+        return True
+
+    def __call__(self, x):
+        return x
+
+
+counter, traces, pair, odd = Counter(), [], Pair(), Odd()
 
 
 def inner_key(x):
@@ -198,6 +223,9 @@ UNRELATED = {
     "its object counts its calls": (counter.step, lambda: setattr(counter, "calls", counter.calls + 1)),
     "its object keeps results": (counter.step, lambda: counter.results.append(1)),
     "a global is called as a variable of its own": (inner_key, lambda: set_global("key", object())),
+    "two methods of one object": ((pair.step, pair.init), lambda: None),
+    "an object without a hash": (odd, lambda: None),
+    "a dtype": (np.dtype("f4"), lambda: None),
     "another state of a registered class": (Position(jnp.ones(2)), lambda: setattr(UNRELATED_STATE, "x", jnp.zeros(2))),
 }
 UNRELATED_STATE = UNRELATED["another state of a registered class"][0]
@@ -252,7 +280,6 @@ STRANGE = {
     "half floats of JAX": np.zeros(2, jnp.bfloat16),
     "objects": np.array([None, 1], object),
     "a key": jax.random.key(0),
-    "a reference to what is gone": weakref.proxy(Counter()),
 }
 
 
@@ -262,6 +289,22 @@ def test_what_is_strange_does_no_harm(what, cleared):
     for _ in range(2):
         forget_what_has_changed(lambda x: (strange, x), strange)
     assert not cleared
+
+
+class Slots:
+    __slots__ = ("by",)
+
+    def __init__(self):
+        self.by = 1.0
+
+    def __call__(self, x):
+        return self.by * x
+
+
+@pytest.mark.parametrize("make", [lambda: weakref.proxy(Counter()), Slots], ids=["gone", "slots"])
+def test_what_can_not_be_looked_at_may_have_changed(make, cleared):
+    forget_what_has_changed([make()])
+    assert cleared
 
 
 tilt = 1.0
