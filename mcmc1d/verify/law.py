@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 
 import jax
 import numpy as np
+from scipy.stats import rv_discrete
 
 from mcmc1d.checks import require
 from mcmc1d.compiling import quickly
@@ -128,7 +129,8 @@ def _integers(distribution: Any) -> Discrete:
 
     A power law has its tail in a cell of many integers, beyond `_INTEGERS` of them; its quantiles need not fit memory.
     """
-    (lower, upper), median = distribution.support(), distribution.ppf(0.5)
+    lower, upper = distribution.support()
+    median = _median(distribution, lower)
     first, last = int(max(lower, median - _INTEGERS)), int(min(upper, median + _INTEGERS))
     masses = distribution.pmf(np.arange(first, last + 1))
     below = distribution.cdf(first - 1) + np.cumsum(masses)
@@ -145,6 +147,24 @@ def _integers(distribution: Any) -> Discrete:
         ordered=True,
         cut=bool(max(tails) > _COARSE),
     )
+
+
+_FAR = 2**22  # integers from the first on, among which a median is looked for that scipy finds by adding up masses
+
+
+def _median(distribution: Any, lower: float | np.integer) -> float:
+    """`ValueError` where scipy has none that a float or memory holds: in a far tail, or of a wide law."""
+    # Its general search asks for the CDF far out, which may be the sum of all masses up to there.
+    kind = type(getattr(distribution, "dist", distribution))
+    summed = getattr(kind, "_ppf", None) is rv_discrete._ppf and np.isfinite(lower)
+    near = not summed or distribution.pmf(lower + np.arange(_FAR)).sum() > 0.5
+    median = distribution.ppf(0.5) if near else np.inf
+    require(
+        bool(np.isfinite(median)),
+        f"{kind.__name__.removesuffix('_gen')}: scipy finds no median of it; give a verify.Law with statistics=, a "
+        "verify.Discrete of the cells that matter",
+    )
+    return float(median)
 
 
 _COARSE = 2**-14  # of a law's mass in one cell of many values: less is no more than what a continuous CDF leaves unseen

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.special import ndtr
-from scipy.stats import beta, gamma, zipf
+from scipy.stats import beta, gamma, poisson, zipf
 
 from mcmc1d import Multiplexed
 from mcmc1d.metropolis import Deposits, Info, Kernel, Step
@@ -174,6 +174,12 @@ def test_jax_may_have_another_generator_by_default():
         assert np.array_equal(jax.random.key_data(key_of((0,))), jax.random.key_data(key))
         assert 0 < flux(0, jnp.full(1, 0.5), jnp.zeros(2, jnp.uint32)).ends[0].u[0] < 1
         assert multiplexed_law(target).sample(np.random.default_rng(0), 16)["x"].shape == (16,)
+
+
+@pytest.mark.parametrize("law", [zipf(1.01), poisson(1e11)], ids=["far", "wide"])
+def test_a_law_on_integers_without_a_median_is_refused_before_memory_ends(law):
+    with pytest.raises(ValueError, match="scipy finds no median of it"):
+        verify(SAME, law, **SIZE)
 
 
 def test_draws_that_float32_has_made_whole_numbers_are_not_taken_for_counts():
